@@ -27,9 +27,6 @@ DIRECTIONS, WIDEST_DEG = 36, 60.0
 #: Upward component of the normal of a steep face (60°), points of a direction that make one, and
 #: the shares of the directions between which walls bound a part of the body.
 STEEP, FEW, WALLED = 0.5, 3, (1.0 / 36.0, 0.75)
-#: Upward component of the normal of triangles on a wall (50°), and how far its true face may lie
-#: from where it is counted, one standard deviation, m: half of a usual wall.
-FACE, WALL_M = 0.64, 0.25
 #: A sliver's long side, in usual edges; its width is below one. Layers of slivers that are peeled.
 LONG, PEELED = 3.0, 20
 
@@ -180,19 +177,6 @@ def wall_doubts(tin: Tin, base: Plane, inside: Bool, on_face: Bool, least_m: flo
         "wall, a machine or a tree may be counted; look at it, or draw volume.polygon_m without it"
     )
     return [Doubt("wall", words, 360.0 * share)]
-
-
-def wall_m6(tin: Tin, inside_m2: F64) -> float:
-    """Variance of the volume, m⁶, where a wall stands in an outline, inside_m2 (m,) m² of each
-    triangle: what is hidden behind its faces, and how much of it is counted, is known to
-    :data:`WALL_M`.
-    """
-    rows = np.flatnonzero(inside_m2 > 0.0)
-    a, b, c = (tin.vertices[corner] for corner in tin.triangles[rows].T)
-    n = np.cross(b - a, c - a)
-    area = np.linalg.norm(n, axis=1)
-    on_face = n[:, 2] < FACE * area
-    return float((WALL_M * 0.5 * area[on_face].sum()) ** 2)
 
 
 def body_doubts(

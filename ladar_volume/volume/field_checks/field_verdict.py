@@ -31,7 +31,7 @@ from ladar_volume.volume.field_checks.base_readings import (
     given_base_doubts,
     student_factor,
 )
-from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep, wall_m6
+from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
 from ladar_volume.volume.field_checks.gaps import (
     bridged_volume,
     bridging_triangles,
@@ -39,6 +39,7 @@ from ladar_volume.volume.field_checks.gaps import (
     gap_doubts,
 )
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
+from ladar_volume.volume.field_checks.steep_faces import edge_doubts, steep_faces, wall_m6
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
 #: Height of what grows, over its scatter.
@@ -249,11 +250,19 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     return PassAgreement(pass_agreement(scatter, survey.patches, nav, b), cover)
 
 
-def with_walls(tin: Tin, part: F64, volume: Volume) -> Volume:
-    """The volume of a body, part (m,) m² of each triangle, with what its walls may hide or add."""
-    if not any(doubt.name in ("wall", "object") for doubt in volume.verdict.doubts):
+def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) -> Volume:
+    """The volume of a body, part (m,) m² of each triangle, with what its steep faces may hide or
+    add. on_face : (n,) vertices on them · kind : what is measured.
+    """
+    if any(doubt.name in ("wall", "object") for doubt in volume.verdict.doubts):
+        return with_line(volume, "wall", wall_m6(tin, part))
+    found = steep_faces(tin, part, on_face)
+    if found is None:
         return volume
-    return with_line(volume, "wall", wall_m6(tin, part))
+    if kind == "surface":  # closed bodies have walls of their own
+        doubts = Verdict(tuple(edge_doubts(found, volume.volume_m3, volume.sigma_m3)))
+        volume = dataclasses.replace(volume, verdict=volume.verdict + doubts)
+    return with_line(volume, "edges", found.sigma_m3**2)
 
 
 def with_objects(volume: Volume, objects: tuple[StandingObject, ...]) -> Volume:
@@ -281,14 +290,15 @@ def assess_field(
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
     tin = survey.tin
+    on_face = steep(survey.points.normal[tin.source])
     volume = with_objects(volume, objects)
     doubts = completeness_doubts(
         tin,
         footing.base,
         footing.inside,
-        steep(survey.points.normal[tin.source]),
+        on_face,
         volume.sigma_m3,
         parameters,
     )
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
-    return with_walls(tin, part, volume)
+    return with_faces(tin, part, on_face, volume, parameters.volume.kind)

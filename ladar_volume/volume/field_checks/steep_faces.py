@@ -1,0 +1,88 @@
+"""How far the steep faces of a surface may lie from where they are drawn.
+
+Few returns lie on a steep face, and a surface of one height per place draws it between a point
+above and one below. In between, the true face may stand anywhere: each steep triangle may count
+from its lowest corner to its highest over all of its footprint. With a uniform distribution its
+variance is that of a rectangle (GUM 4.3.7). What makes the error, trimmed edges and a filter that
+bends around them, is the same all round a body: triangles err alike.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.volume.field_checks.standing_objects import STEP_M
+
+#: Upward component of the normal of triangles on a steep face (50°).
+FACE = 0.64
+#: How far the true face of a wall may lie from where it is counted, one standard deviation, m: half
+#: of a usual wall.
+WALL_M = 0.25
+#: The doubt: so many times all else, and more than this share of the volume.
+TIMES, SHARE = 3.0, 0.005
+
+
+class SteepFaces(NamedTuple):
+    """Of the steep faces of a body: sigma_m3 : of its volume · apart_m : mean distance sideways
+    between what was seen above and below · x_m, y_m : their middle
+    """
+
+    sigma_m3: float
+    apart_m: float
+    x_m: float
+    y_m: float
+
+
+def face_areas(tin: Tin, rows: I64) -> tuple[F64, F64]:
+    """Area (k,) m² of triangles, and its horizontal projection."""
+    a, b, c = (tin.vertices[corner] for corner in tin.triangles[rows].T)
+    n = 0.5 * np.cross(b - a, c - a)
+    return np.linalg.norm(n, axis=1), np.asarray(n[:, 2])
+
+
+def wall_m6(tin: Tin, inside_m2: F64) -> float:
+    """Variance of the volume, m⁶, where a wall stands in an outline, inside_m2 (m,) m² of each
+    triangle: what is hidden behind its faces, and how much of it is counted, is known to
+    :data:`WALL_M`.
+    """
+    area, flat = face_areas(tin, np.flatnonzero(inside_m2 > 0.0))
+    return float((WALL_M * area[flat < FACE * area].sum()) ** 2)
+
+
+def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:
+    """The steep faces of a body, inside_m2 (m,) m² of each triangle; None without any.
+
+    on_face : (n,) vertices with a steep normal. A steep triangle counts that has one or is higher
+    than a step: on a slope of loose material noise makes steep triangles, too.
+    """
+    rows = np.flatnonzero(inside_m2 > 0.0)
+    area, flat = face_areas(tin, rows)
+    t = tin.triangles[rows]
+    rise = np.ptp(tin.vertices[t, 2], axis=1)
+    counts = (flat < FACE * area) & ((rise > STEP_M) | on_face[t].any(axis=1))
+    if not counts.any():
+        return None
+    area, flat, rise, t = area[counts], flat[counts], rise[counts], t[counts]
+    upright = np.sqrt(np.maximum(area**2 - flat**2, 0.0))
+    unsure = inside_m2[rows[counts]] * rise
+    # rise · flat / upright is a triangle's extent along its fall
+    apart = float((flat * rise).sum() / upright.sum())
+    x, y = np.average(tin.vertices[t, :2].mean(axis=1), axis=0, weights=upright).tolist()
+    return SteepFaces(float(unsure.sum()) / math.sqrt(12.0), apart, x, y)
+
+
+def edge_doubts(found: SteepFaces, volume_m3: float, sigma_m3: float) -> list[Doubt]:
+    """Little is known but for the steep faces. sigma_m3 : of the volume without them."""
+    if found.sigma_m3 <= max(TIMES * sigma_m3, SHARE * abs(volume_m3)):
+        return []
+    words = (
+        f"steep faces are drawn between points above and below that lie {1e2 * found.apart_m:.2g} "
+        f"cm apart sideways on average, {found.sigma_m3:.2g} m³ of sigma where all else is "
+        f"{sigma_m3:.2g} m³: set volume.kind to bodies, which measures walls by their own returns"
+    )
+    return [Doubt("edges", words, found.apart_m)]
