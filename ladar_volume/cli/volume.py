@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from ladar_volume.cli.arguments.lines import shown_name
 from ladar_volume.cli.inputs.base_choice import parameters_of
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
@@ -22,6 +21,7 @@ from ladar_volume.cli.outputs.cloud_files_out import (
     wanted_files,
     write_files,
 )
+from ladar_volume.cli.outputs.file_choice import show_written
 from ladar_volume.cli.site.pile_results import (
     common_material,
     error_facts,
@@ -150,10 +150,10 @@ def run(arguments: argparse.Namespace) -> int:
         sources = read_sources(arguments)
         system_of_files(arguments, sources)  # refuses units that files cannot have
         result = result_of(task, sources, status.update)
-        facts, files = result.facts, list[str]()
+        facts, written = result.facts, None
         if wanted is not None:
             status.update("files")
-            files = write_files(arguments, wanted, sources, result)
+            written = write_files(arguments, wanted, sources, result)
         if arguments.report is not None:
             status.update("report")
             report_of(arguments, result)
@@ -161,8 +161,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-        if files:
-            console.print(f"written to {shown_name(arguments.output)}/: {', '.join(files)}")
+        if written is not None:
+            show_written(console, arguments.output, written)
     return exit_code(arguments, facts["verdict"])
 
 

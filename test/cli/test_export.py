@@ -261,31 +261,59 @@ def test_ply_is_double_and_has_sigma(metres):
     assert "sigma_z" in (metres / "surface.ply").read_bytes()[:4000].decode("latin-1")
 
 
-def test_outline_and_contours_lie_in_the_system_with_heights(metres, feet):
+def from_degrees(positions, crs):
+    """Longitude and latitude (n, 2) in a projected system, by pyproj."""
+    change = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    return np.column_stack(change.transform(*np.array(positions).T))
+
+
+def test_outline_and_contours_are_longitude_and_latitude(metres, feet):
     outline = json.loads((metres / "outline.geojson").read_text())
-    assert outline["crs"]["properties"]["name"] == "urn:ogc:def:crs:EPSG::25832"
+    assert "crs" not in outline and outline["accuracy_m"] == 1.0  # of ETRS89 in WGS 84
     (part,) = outline["features"]
-    ring = np.array(part["geometry"]["coordinates"][0])
-    assert (ring[0] == ring[-1]).all() and ring.shape[1] == 3
-    area = signed_area(ring)
-    assert area == pytest.approx(result(metres)["area_m2"], rel=1e-9)  # counter-clockwise
-    assert part["properties"]["volume_m3"] == result(metres)["net_m3"]
+    (degrees,) = part["geometry"]["coordinates"]
+    ring = from_degrees(degrees, "EPSG:25832")
+    assert degrees[0] == degrees[-1] and signed_area(np.array(degrees)) > 0.0
+    assert signed_area(ring) == pytest.approx(result(metres)["area_m2"], rel=1e-6)
+    facts = part["properties"]
+    assert facts["volume_m3"] == result(metres)["net_m3"]
+    assert facts["area_m2"] == pytest.approx(result(metres)["area_m2"], rel=1e-9)
+    top = landxml(metres / "surface.xml")[0]["counted"][0]  # its corners are vertices
+    apart = np.abs(ring[:, None] - top[None, :, :2]).max(axis=2)
+    assert apart.min(axis=1).max() < 1e-3
+    z = top[apart.argmin(axis=1), 2]
+    heights = [facts["outline_lowest_m"], facts["outline_highest_m"]]
+    assert heights == pytest.approx([z.min(), z.max()], abs=1e-9)
     contours = json.loads((metres / "contours.geojson").read_text())["features"]
     for feature in contours:
-        line = np.array(feature["geometry"]["coordinates"])
-        height = feature["properties"]["height"]
-        assert (line[:, 2] == height).all()
-        if height > HEIGHT + 1.0 and (line[0] == line[-1]).all() and len(line) > 20:
+        line = from_degrees(feature["geometry"]["coordinates"], "EPSG:25832")
+        height = feature["properties"]["height_m"]
+        closed = np.allclose(line[0], line[-1], rtol=0.0, atol=1e-6)
+        if height > HEIGHT + 1.0 and closed and len(line) > 20:
             radius = np.hypot(line[:, 0] - EAST, line[:, 1] - NORTH)
             assert np.abs(radius - (HEIGHT + 5.0 - height) / 0.6).max() < 0.3
             assert signed_area(line) > 0.0  # higher ground on its left
-    levels = {feature["properties"]["height"] for feature in contours}
+    levels = {feature["properties"]["height_m"] for feature in contours}
     assert {101.0, 102.0, 103.0, 104.0} <= levels
-    in_feet = json.loads((feet / "contours.geojson").read_text())
-    assert in_feet["units"] == "US survey foot" and in_feet["crs"]["properties"]["name"].endswith(
-        "6576"
-    )
-    assert min(f["properties"]["height"] for f in in_feet["features"]) > 320
+    in_feet = json.loads((feet / "contours.geojson").read_text())["features"]
+    assert min(f["properties"]["height_us_ft"] for f in in_feet) > 320
+    line = from_degrees(in_feet[0]["geometry"]["coordinates"], "EPSG:6576") * FOOT
+    assert np.abs(line - [EAST, 150_000.0]).max() < 14.1
+
+
+def test_outlines_that_lie_nowhere_known_keep_their_numbers_and_say_so(tmp_path, capsys):
+    words = ["--level", "99", "--as", "geojson", "-o", tmp_path / "out"]
+    for crs, why in (
+        ([], "no CRS is known"),
+        (["--crs", "+proj=tmerc +x_0=500000 +lat_0=0 +ellps=bessel"], "in WGS 84 is not known"),
+    ):
+        code, text = ran(capsys, "volume", mound(tmp_path / "a.csv"), *words, *crs)
+        assert code == 0 and why in " ".join(text.split())
+        outline = json.loads((tmp_path / "out" / "outline.geojson").read_text())
+        assert why in outline["positions"] and outline["units"] == "metre"
+        assert (outline["crs"] is None) is not bool(crs)
+        ring = np.array(outline["features"][0]["geometry"]["coordinates"][0])
+        assert (np.abs(ring[:, :2] - [EAST + 5.0, 150_005.0]) < 5.1).all()
 
 
 def test_table_and_json_say_the_same(metres):
@@ -474,7 +502,9 @@ def survey(tmp_path_factory):
 
 
 def test_a_survey_is_written_in_its_own_frame(survey, tmp_path, capsys):
-    code, text = ran(capsys, "export", survey, "-o", tmp_path / "out", "--as", "landxml,las,csv")
+    code, text = ran(
+        capsys, "export", survey, "-o", tmp_path / "out", "--as", "landxml,las,csv,geojson"
+    )
     assert code == 0, text
     facts, (found, root) = result(tmp_path / "out"), landxml(tmp_path / "out" / "surface.xml")
     faces = between(found["counted"], found["base"])
@@ -485,6 +515,19 @@ def test_a_survey_is_written_in_its_own_frame(survey, tmp_path, capsys):
     assert system.is_engineering and "49.100000000 N, 8.400000000 E" in system.name
     las = laspy.read(tmp_path / "out" / "points.las")
     assert las.header.parse_crs().name == system.name and (np.array(las["sigma_z"]) > 0).all()
+    outline = json.loads((tmp_path / "out" / "outline.geojson").read_text())
+    (degrees,) = outline["features"][0]["geometry"]["coordinates"]
+    # by another way: PROJ's own local frame, at the heights of the corners
+    east_north = pyproj.Transformer.from_pipeline(
+        f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart "
+        f"+step +proj=topocentric +lat_0={DATUM.latitude_deg} +lon_0={DATUM.longitude_deg} "
+        f"+h_0={DATUM.height_m}"
+    )
+    top = found["counted"][0]
+    lon, lat = np.array(degrees).T
+    ring = np.column_stack(east_north.transform(lon, lat, np.full(len(lon), 153.0))[:2])
+    off = np.abs(ring[:, None] - top[None, :, :2]).max(axis=2).min(axis=1)
+    assert off.max() < 1e-3 and signed_area(ring) > 0.0
 
 
 def test_a_survey_in_utm_lies_where_it_was_flown_and_says_the_scale(survey, tmp_path, capsys):

@@ -172,6 +172,23 @@ def test_files_and_report_hold_every_pile(yard, tmp_path, capsys):
     assert "Volume by base" in text and "gravel" in text
 
 
+@pytest.mark.parametrize("crs", [(), ("--crs", "EPSG:25832")])
+def test_piles_come_back_from_the_written_outlines(yard, tmp_path, crs, capsys):
+    """In UTM the file is in degrees, without a CRS in the numbers of the points."""
+    cloud = tmp_path / "yard.xyz"
+    r = np.loadtxt(yard / "yard.xyz")
+    np.savetxt(cloud, np.add(r, [433_000.0, 5_100_000.0, 0.0]), fmt="%.6f")
+    words = ("volume", cloud, "--units", "m", *crs, "--base", "toe_plane", "--json")
+    out = ("-o", tmp_path / "out", "--as", "geojson")
+    first = ran(capsys, *words, "--piles", "found", *out)[1]
+    code, again, err = ran(capsys, *words, "--piles", tmp_path / "out" / "outline.geojson")
+    assert code == 0, err
+    assert again["verdict"] == first["verdict"] and len(again["piles"]) == 2
+    for one, two in zip(first["piles"], again["piles"], strict=True):
+        assert two["name"] == one["name"]
+        assert two["net_m3"] == pytest.approx(one["net_m3"], rel=1e-6)
+
+
 def test_the_schema_holds_results_of_piles(yard, capsys):
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
     text = (Path(__file__).parents[2] / "docs" / "result.schema.json").read_text(encoding="utf-8")

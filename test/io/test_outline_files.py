@@ -156,6 +156,15 @@ def test_a_datum_that_is_known_badly_is_doubtful(tmp_path):
     assert [d.name for d in found.doubts] == ["outline_datum"]
 
 
+def test_the_way_between_datums_is_that_of_the_place(tmp_path):
+    """The best way for all of NAD 27 is off by 20 m in Ohio, that for the East by 10 m."""
+    ohio = CRS.from_epsg(26717)
+    near = np.array([[500000.0, 4400000.0], [500010, 4400000], [500010, 4400010]])
+    file = geojson(tmp_path / "a.geojson", [[[-81, 39.7], [-80.9, 39.7], [-80.9, 39.8]]])
+    (doubt,) = read_outlines(file, at(ohio), np.array([near.min(axis=0), near.max(axis=0)])).doubts
+    assert doubt.name == "outline_datum" and doubt.value == 10.0
+
+
 HOLE = [closed(SQUARE), closed(SQUARE[::-1] * 0 + [[433004, 5100004]] + (SQUARE - SQUARE[0]) * 0.1)]
 BOW = [[0, 0], [10, 10], [10, 0], [0, 7]]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ladar_volume.cli.arguments.lines import shown_name
-from ladar_volume.cli.outputs.file_choice import checked_choice
+from ladar_volume.cli.outputs.file_choice import checked_choice, show_written
 from ladar_volume.io.export.export_set import write_export
 from ladar_volume.io.export.survey_surface import survey_deliverable
 
@@ -21,12 +21,12 @@ def run(arguments: argparse.Namespace) -> int:
     with console.status(f"reading {shown_name(folder.name)}") as status:
         survey = survey_deliverable(folder, arguments.crs)
         status.update("writing")
-        names = write_export(arguments.output, survey, wanted)
+        written = write_export(arguments.output, survey, wanted)
     scale = survey.system.scale
     if scale != 1.0:
         console.print(
             f"{shown_name(survey.system.name)}: lengths on the map are {scale:.6f} of the true "
             f"ones, volumes between the faces {scale**2:.6f}; V in result.json is the true one"
         )
-    console.print(f"written to {shown_name(arguments.output)}/: {', '.join(names)}")
+    show_written(console, arguments.output, written)
     return 0

@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ladar_volume.io.export.export_set import ExportRequest, check_packages
+from rich.console import Console
+
+from ladar_volume.cli.arguments.lines import shown_name
+from ladar_volume.io.export.export_set import ExportRequest, Written, check_packages
 from ladar_volume.io.export.formats import formats_of
 from ladar_volume.io.results import SURVEY_FILES
 from ladar_volume.model.errors import ConfigurationError, OutputError
@@ -36,6 +39,13 @@ def checked_choice(arguments: argparse.Namespace) -> ExportRequest:
             value=str(folder),
         )
     return ExportRequest(formats, a.cell, a.contour_interval)
+
+
+def show_written(console: Console, folder: Path, written: Written) -> None:
+    """Print which files there are now."""
+    for note in written.notes:
+        console.print(note, markup=False)
+    console.print(f"written to {shown_name(folder)}/: {', '.join(written.names)}")
 
 
 def check_no_files(arguments: argparse.Namespace) -> None:

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from ladar_volume.io.export.edge_rings import Polygon, polygons_of
 from ladar_volume.io.export.outline_clip import clip_to_polygon
 from ladar_volume.io.export.output_system import OutputSystem
+from ladar_volume.io.export.positions import Positions, positions_of
 from ladar_volume.io.pointfiles.point_file import PointFile
 from ladar_volume.model.records import F64, I32, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
@@ -93,6 +94,11 @@ class Deliverable:
             faces = self.other.triangles[self.other.relevant]
             out.append(part("second", self.other.vertices, faces))
         return out
+
+    @cached_property
+    def positions(self) -> Positions:
+        """How places stand in GeoJSON."""
+        return positions_of(self.system, self.tin.vertices)
 
     @cached_property
     def polygons(self) -> list[Polygon]:

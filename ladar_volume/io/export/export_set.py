@@ -34,6 +34,14 @@ class ExportRequest:
     interval: float | None = None
 
 
+@dataclass(frozen=True)
+class Written:
+    """names : of the files · notes : sentences on what they hold that a user is to know"""
+
+    names: list[str]
+    notes: list[str]
+
+
 def check_packages(formats: Sequence[str]) -> None:
     """Load what the formats need, before a long computation. Raises ModuleNotFoundError."""
     for name in formats:
@@ -41,14 +49,15 @@ def check_packages(formats: Sequence[str]) -> None:
             importlib.import_module(FORMATS[name].needs)
 
 
-def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> list[str]:
-    """Write the files into a folder, all or none; returns their names. Raises OutputError."""
+def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> Written:
+    """Write the files into a folder, all or none. Raises OutputError."""
     names = [FORMATS[name].file for name in wanted.formats]
     every = [kind.file for kind in FORMATS.values()]
     with output_set(folder, every) as part:
         for name in wanted.formats:
             writer(name, wanted)(part / FORMATS[name].file, d)
-    return names
+    placed = {"geojson", "contours"} & set(wanted.formats)
+    return Written(names, [d.positions.note] if placed and d.positions.note else [])
 
 
 def writer(name: str, wanted: ExportRequest) -> Callable[[Path, Deliverable], None]:

@@ -30,12 +30,14 @@ def plain_words(text: str) -> str:
 @dataclass(frozen=True)
 class OutputSystem:
     """crs : of the numbers in the files, None where none is known · unit : of all three axes ·
-    scale : part by which lengths on the map are longer than those that V is computed from
+    scale : part by which lengths on the map are longer than those that V is computed from · datum :
+    that the numbers are east, north, up about; None for others
     """
 
     crs: CRS | None = None
     unit: Unit = METRE
     scale: float = 1.0
+    datum: Datum | None = None
 
     def numbers(self, r_m: F64) -> F64:
         """Lengths or coordinates in m, any shape, as they stand in the files."""
@@ -56,10 +58,15 @@ class OutputSystem:
         """WKT of the system on one line; empty where none is known."""
         return "" if self.crs is None else plain_words(str(self.crs.to_wkt()))
 
+    @property
+    def unit_word(self) -> str:
+        """The unit as ``--units`` has it."""
+        word = {"metre": "m", "international foot": "ft", "US survey foot": "us-ft"}
+        return word.get(self.unit.name, self.unit.name)
+
     def notes(self) -> list[str]:
         """Lines for the head of a file, as the readers of this program understand them."""
-        word = {"metre": "m", "international foot": "ft", "US survey foot": "us-ft"}
-        units = f"units: {word.get(self.unit.name, self.unit.name)}"
+        units = f"units: {self.unit_word}"
         return [f"crs: {self.wkt}", units] if self.crs is not None else [units]
 
 
@@ -92,7 +99,7 @@ def local_system(datum: Datum) -> OutputSystem:
         f'ENGCRS["east, north, up about {place} (WGS 84)",'
         f'EDATUM["plane tangent to the ellipsoid at {place}"],CS[Cartesian,3],{axes}]'
     )
-    return OutputSystem(CRS.from_wkt(wkt))
+    return OutputSystem(CRS.from_wkt(wkt), datum=datum)
 
 
 def projection(datum: Datum, text: str) -> OutputSystem:

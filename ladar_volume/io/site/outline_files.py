@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladar_volume.io.pointfiles.crs import parts_of
+from ladar_volume.io.pointfiles.datum_shift import datum_shift, place_of
 from ladar_volume.io.pointfiles.metres import MapCoordinates
 from ladar_volume.io.pointfiles.raw_table import FARTHEST
 from ladar_volume.io.site.outline_reading import MOST_CORNERS, Columns, Features, features_of
@@ -32,8 +31,6 @@ NAMES = ("name", "pile", "label", "id", "layer")
 MATERIALS = ("material", "product")
 DENSITIES = ("density_t_m3", "density")
 DENSITY_SIGMAS = ("density_sigma_t_m3", "density_sigma", "sigma_density")
-#: A transformation that is less accurate than this, m, is doubtful. WGS 84 itself is known to 2 m.
-ACCURACY_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +165,7 @@ def shift_of(found: Features, at: MapCoordinates, extent: F64, path: Path) -> Sh
         )
     if found.default_crs and not geographic_numbers(found.shapes):
         return Shift(f"none named: {own}", factor_of(at, path))
-    return transform_shift(found.crs, at.crs)
+    return transform_shift(found.crs, at.crs, extent)
 
 
 def factor_of(at: MapCoordinates, path: Path) -> float:
@@ -182,31 +179,18 @@ def factor_of(at: MapCoordinates, path: Path) -> float:
     return at.factor[0]
 
 
-def transform_shift(source: CRS, target: CRS) -> Shift:
-    """By pyproj, horizontally."""
-    from pyproj.exceptions import ProjError
-    from pyproj.transformer import TransformerGroup
-
-    one, two = parts_of(source)[0], parts_of(target)[0]
-    if one is None or two is None:
-        raise InputError(f"CRS {source.name}: it has no horizontal part", reason="input_crs")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # grids that are missing are asked for below
-        try:
-            best = TransformerGroup(one.to_2d(), two.to_2d(), always_xy=True).transformers[0]
-        except (ProjError, IndexError) as error:
-            words = f"no way is known from {one.name} to {two.name}"
-            raise InputError(words, reason="input_crs", value=one.name) from error
+def transform_shift(source: CRS, target: CRS, extent: F64) -> Shift:
+    """By pyproj, horizontally, as it fits the points. Raises :class:`InputError` (input_crs)."""
+    shift = datum_shift(source, target, place_of(target, *extent.mean(axis=0).tolist()))
     doubts: tuple[Doubt, ...] = ()
-    accuracy = float(best.accuracy)
-    if not 0.0 <= accuracy <= ACCURACY_M and one.geodetic_crs != two.geodetic_crs:
-        known = f"to {accuracy:g} m" if accuracy >= 0.0 else "to an unknown accuracy"
+    if shift.doubtful:
         words = (
-            f"the outlines are brought from {one.name} to {two.name} {known}: they may lie beside "
-            "the piles; export them in the system of the points"
+            f"the outlines are brought from {source.name} to {target.name} to "
+            f"{shift.accuracy_words}: they may lie beside the piles; export them in the system of "
+            "the points"
         )
-        doubts = (Doubt("outline_datum", words, accuracy),)
-    return Shift(str(source.name), 1.0, best, doubts)
+        doubts = (Doubt("outline_datum", words, shift.accuracy_m),)
+    return Shift(str(source.name), 1.0, shift.transformer, doubts)
 
 
 def bounds(shapes: Sequence[BaseGeometry]) -> F64:

@@ -5,6 +5,7 @@ reads them (pyogrio), and text in WKT.
 from __future__ import annotations
 
 import codecs
+import json
 import re
 import warnings
 from collections.abc import Sequence
@@ -85,9 +86,20 @@ def features_of(path: Path) -> Features:
         for name, column in zip(meta["fields"], values, strict=True)
     ]
     crs = None if meta["crs"] is None else crs_of_text(str(meta["crs"]), path.name)
-    ending = path.suffix.lower()
-    by_format = ending in (".geojson", ".json") and '"crs"' not in path.read_text("utf-8", "ignore")
+    members = json_members(path) if path.suffix.lower() in (".geojson", ".json") else None
+    if members is not None and members.get("crs", crs) is None:
+        crs = None  # null says that none is known; GDAL takes it for degrees
+    by_format = members is not None and "crs" not in members
     return Features(shapes, columns, crs, by_format, kept.count(False))
+
+
+def json_members(path: Path) -> dict[str, Any]:
+    """Members of a JSON object; none where Python cannot read what GDAL can."""
+    try:
+        members = json.loads(path.read_text("utf-8-sig", "ignore"))
+    except (ValueError, RecursionError):
+        return {}
+    return members if isinstance(members, dict) else {}
 
 
 def wkt_features(path: Path) -> Features:
