@@ -37,6 +37,8 @@ from ladar_volume.volume.polygon import check_polygon
 #: The margin where none is given, as a share of the region's smaller side, and the spacing of the
 #: ring in spacings of the points.
 MARGIN_SHARE, RING_SPACINGS = 0.1, 2.0
+#: Points so near to a side of the region, as a share of its size, are on it.
+ON_SIDE = 1e-8
 #: The ring lies on planes through the points within so many sigma: where noise folds the surface,
 #: its triangles would tear the ring.
 RING_SIGMAS = 8.0
@@ -149,6 +151,20 @@ def hull_polygon(points: F64, inward_m: float = 0.0) -> F64:
     return out
 
 
+def narrowest(xy: F64) -> float:
+    """Width, m, of the narrowest strip that holds places (n, 2); 0 for places in one line."""
+    if len(xy) < 3:
+        return 0.0
+    at = xy - xy.mean(axis=0)
+    try:
+        corner = at[ConvexHull(at).vertices]
+    except QhullError:
+        return 0.0
+    side = np.roll(corner, -1, axis=0) - corner
+    normal = np.column_stack([-side[:, 1], side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
+    return float(np.ptp(corner @ normal.T, axis=0).min())
+
+
 def region_of(
     points_a: F64,
     corners: F64 | None = None,
@@ -156,8 +172,8 @@ def region_of(
     spacing_m: float | None = None,
 ) -> Region:
     """A region with what is not given filled in: the hull of A's points in plan less the margin, a
-    margin of a tenth of the smaller side, a ring at twice the spacing of A's points. Raises
-    :class:`VolumeError` for corners that make no polygon.
+    margin of a tenth of the smaller side (of the hull's width), a ring at twice the spacing of A's
+    points. Raises :class:`VolumeError` for corners that make no polygon.
     """
     a = np.asarray(points_a, dtype=np.float64)
     outline = np.asarray(a[:, :2] if corners is None else corners, dtype=np.float64)
@@ -172,16 +188,18 @@ def region_of(
             reason="region_polygon",
         )
     size = np.sort(np.ptp(outline, axis=0))[-2:]
-    margin = MARGIN_SHARE * float(size[0]) if margin_m is None else float(margin_m)
+    if margin_m is None:
+        margin = MARGIN_SHARE * (narrowest(outline) if corners is None else float(size[0]))
+    else:
+        margin = float(margin_m)
     if not 0.0 <= margin < np.inf:
         raise VolumeError(
             f"a margin of {margin:g} m; it must be 0 or more", reason="region_margin", value=margin
         )
     if corners is None:
         outline = hull_polygon(a, margin)
-        margin += 1e-9 * float(
-            np.abs(a).max()
-        )  # the points that the outline came from are within it
+        # the points on the sides that the outline came from are within it, wherever the cloud lies
+        margin += ON_SIDE * float(size[1]) + 4.0 * float(np.spacing(np.abs(a).max()))
     if outline.shape[1] == 2:
         outline = check_polygon(outline)
     if spacing_m is None:

@@ -91,18 +91,18 @@ def coarser(o: BodyParameters) -> BodyParameters:
 
 def between_points(
     body: Body, rows: I64, points: BodyPoints, made: CloudBodies, o: BodyParameters
-) -> tuple[tuple[float, ...], str]:
-    """Volumes, m³, through each half of a body's points less that through all; and why a half makes
-    none.
+) -> tuple[tuple[float, ...], int, str]:
+    """Volumes, m³, through each half of a body's points less that through all; how many halves were
+    tried; and why one makes none.
     """
-    found, failed = [], ""
-    for half in halves(points.r[rows]):
+    found, failed, tried = [], "", halves(points.r[rows])
+    for half in tried:
         try:
             one = body_at(points.r, points.normal, points.curved, rows[half], made.ground, o)[0]
             found.append(one.volume_m3 - body.volume_m3)
         except (SurfaceError, VolumeError) as error:
             failed = str(error)
-    return tuple(found), failed
+    return tuple(found), len(tried), failed
 
 
 def check_bodies(
@@ -118,8 +118,7 @@ def check_bodies(
             bodies.append(body)
             continue
         fit_m3, fit_m6 = off_points(body, rows, raw, points)
-        between, failed = between_points(body, rows, points, made, coarser(options))
-        tried = len(halves(points.r[rows]))
+        between, tried, failed = between_points(body, rows, points, made, coarser(options))
         found.append(FilterComparison(fit_m3, fit_m6, between, tried, failed))
         volume = body.volume_m3 + fit_m3
         bodies.append(dataclasses.replace(body, volume_m3=volume, fit_m3=fit_m3))

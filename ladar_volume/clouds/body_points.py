@@ -35,8 +35,9 @@ RAISED = 5.0
 ROUGH = 0.2
 #: Least step between points of one object, in the spacing where the points are sparsest.
 SPARSE, SPARSEST = 2.0, 90.0
-#: Bodies of at most so many points are halved in so many ways.
-FEW, SPLITS, SEED = 10_000, 3, 7
+#: Bodies are halved in so many ways, those of few points in more: what the halves tell is uncertain
+#: by itself, and one split can by chance show next to nothing.
+SPLITS, MORE, FEW, SEED = 2, 3, 10_000, 7
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,6 @@ def with_noise(points: BodyPoints, noise_m: float) -> BodyPoints:
 def halves(points: F64) -> list[I64]:
     """Rows of random halves of points (n, 3) m in pairs, several where they cost little."""
     out: list[I64] = []
-    for split in range(SPLITS if len(points) <= FEW else 1):
+    for split in range(MORE if len(points) <= FEW else SPLITS):
         out += random_halves(points, np.random.default_rng([SEED, split]))
     return out

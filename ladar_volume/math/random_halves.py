@@ -1,26 +1,40 @@
-"""Random halves of a cloud that depend on where its points are, not on how they are numbered."""
+"""Random halves of a cloud that depend on how its points lie to each other: neither on how they are
+numbered, nor on where the cloud lies or how it is turned.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-#: Points nearer to each other than this share of the cloud's extent are copies.
-SAME = 1e-6
+#: Points nearer to each other than this share of the cloud's extent are copies; distances that
+#: differ by less than this share of it are alike.
+SAME, ALIKE = 1e-6, 1e-9
 
 
 def random_order(
     points: npt.NDArray[np.float64], rng: np.random.Generator
 ) -> npt.NDArray[np.int64]:
-    """Rows of points (n, 3) in a random order, one of copies."""
+    """Rows of points (n, 3) in a random order, one of copies.
+
+    The order is drawn by the rank of the distance from a point that moves and turns with the
+    others: their mean, each with the square of its distance from their centroid. Where distances
+    are alike, as in a symmetric cloud, coordinates decide.
+    """
     if not len(points):
         return np.zeros(0, np.int64)
-    low = points.min(axis=0)
-    step = max(SAME * float(np.ptp(points, axis=0).max()), 1e-300)
+    low, extent = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-290)
     # rounded: a cloud that was moved keeps its order where coordinates are the same
-    place = np.rint((points - low) / step).astype(np.int64)
+    place = np.rint((points - low) / (SAME * extent)).astype(np.int64)
     _, rows = np.unique(place, axis=0, return_index=True)
-    return np.asarray(rows[rng.permutation(len(rows))], np.int64)
+    at = (points[rows] - low) / extent
+    at -= at.mean(axis=0)
+    weight = np.einsum("nk,nk->n", at, at)
+    if weight.sum() > 0.0:
+        at -= weight @ at / weight.sum()
+    away = np.rint(np.sqrt(np.einsum("nk,nk->n", at, at)) / ALIKE)
+    ranked = rows[np.argsort(away, kind="stable")]
+    return np.asarray(ranked[rng.permutation(len(rows))], np.int64)
 
 
 def random_halves(

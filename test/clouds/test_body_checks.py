@@ -90,7 +90,7 @@ def test_halves_tell_what_the_chords_leave_out():
         sigma = float(uncertainty(found, checked, of, v).sigma_m3[0])
         assert error < 0.0 and 0.7 < -error / sigma < 1.5
     many = np.random.default_rng(2).normal(size=(20_000, 3))
-    assert len(halves(many)) == 2 and len(halves(many[:100])) == 6
+    assert len(halves(many)) == 4 and len(halves(many[:100])) == 6
 
 
 def test_halves_that_make_no_body_are_doubted():

@@ -5,10 +5,11 @@ few of them says what it leaves out.
 import dataclasses
 
 import numpy as np
+import pytest
 
 import ladar_volume as lv
 from ladar_volume.change.excavation import Scan, region_of, select
-from ladar_volume.change.sampling import sampling_variance
+from ladar_volume.change.sampling import halves, sampling_variance
 from ladar_volume.math.random_halves import random_halves
 
 
@@ -29,6 +30,42 @@ def test_halves_are_of_places_and_not_of_numbers():
     far = np.add(rounded, (458_000.0, 5_550_000.0, 210.0))
     for a, b in zip(places(rounded), places(far), strict=True):
         assert np.allclose(a, b - [458_000.0, 5_550_000.0, 210.0], atol=1e-6)
+
+
+def test_halves_turn_and_move_with_the_points():
+    rng = np.random.default_rng(3)
+    ticks = np.linspace(0.0, 4.0, 20)
+    x, y = np.meshgrid(ticks, ticks)
+    rows = np.column_stack([x.ravel(), y.ravel(), rng.normal(0.0, 0.01, 400)])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    for p in (rng.normal(size=(501, 3)), rows):
+        for other in (p @ turn.T, 0.1 * p - 7.0, p @ turn.T + (458_000.0, 5_550_000.0, 210.0)):
+            for a, b in zip(
+                random_halves(p, np.random.default_rng(7)),
+                random_halves(other, np.random.default_rng(7)),
+                strict=True,
+            ):
+                assert len(np.setdiff1d(a, b)) <= 0.01 * len(a)
+
+
+def test_what_the_choice_of_points_costs_turns_and_moves_with_them():
+    a, b = pit(1, 0.0), pit(2, 1.0)
+    angle = np.deg2rad(33.0)
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    tried = []
+    for R, to in ((np.eye(3), np.zeros(3)), (turn, np.array([458_000.0, 5_550_000.0, 210.0]))):
+        one, two = (Scan(s.points @ R.T + to, R @ s.scanner + to, s.noise) for s in (a, b))
+        region = region_of(one.points)
+        in_a, in_b = select(one, two, region)
+        parts = one.part(in_a), two.part(in_b)
+        # the outline is in both halves: the ring lies within each, and no split is lost
+        found = [halves(*parts, region, seed, np.inf) for seed in (7, 8)]
+        tried.append((region.margin_m, np.concatenate(found)))
+    (margin, usual), (margin_turned, turned) = tried
+    assert margin_turned == pytest.approx(margin, rel=1e-4)
+    assert turned == pytest.approx(usual, rel=0.01)
 
 
 def pit(seed, depth):
