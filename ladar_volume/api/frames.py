@@ -10,6 +10,7 @@ import numpy as np
 from ladar_volume.io.export.deliverable import Deliverable
 from ladar_volume.io.export.height_raster import BANDS, grid_of, rows_of_heights
 from ladar_volume.io.export.map_features import outline_features
+from ladar_volume.io.export.positions import Positions
 
 if TYPE_CHECKING:
     import geopandas
@@ -33,7 +34,8 @@ def geodataframe_of(d: Deliverable) -> geopandas.GeoDataFrame:
     system of the cloud; polygons in three dimensions.
     """
     frame = import_extra("geopandas").GeoDataFrame
-    return frame.from_features(list(outline_features(d)), crs=d.system.crs)
+    at = Positions(d.system, "x, y, z of the points")
+    return frame.from_features(list(outline_features(d, at)), crs=d.system.crs)
 
 
 def dataset_of(d: Deliverable, cell_m: float | None) -> xarray.Dataset:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ladar_volume.io.export.contour_lines import contours, interval_of
 from ladar_volume.io.export.deliverable import Deliverable
+from ladar_volume.io.export.positions import Positions
 from ladar_volume.io.results import finite
 
 
@@ -28,12 +29,12 @@ def write_features(path: Path, name: str, d: Deliverable, features: Iterable[Any
         file.write("\n]}\n")
 
 
-def outline_features(d: Deliverable) -> Iterator[dict[str, Any]]:
+def outline_features(d: Deliverable, at: Positions) -> Iterator[dict[str, Any]]:
     """A polygon for each part that counts, with its volume where each has one."""
     same = len(d.rows) == len(d.polygons) and (len(d.rows) == 1 or bool(d.outlines))
     for number, polygon in enumerate(d.polygons, 1):
-        rings = [d.positions.ring(polygon.outer)]
-        rings += [d.positions.ring(each, hole=True) for each in polygon.holes]
+        rings = [at.ring(polygon.outer)]
+        rings += [at.ring(each, hole=True) for each in polygon.holes]
         z = polygon.outer[:, 2]
         facts = {
             **(d.rows[number - 1] if same else {}),
@@ -48,7 +49,7 @@ def outline_features(d: Deliverable) -> Iterator[dict[str, Any]]:
 
 def write_outline(path: Path, d: Deliverable) -> None:
     """Outlines of what counts."""
-    write_features(path, f"outline of {d.name}", d, outline_features(d))
+    write_features(path, f"outline of {d.name}", d, outline_features(d, d.positions))
 
 
 def contour_features(d: Deliverable, interval: float | None) -> Iterator[dict[str, Any]]:
