@@ -90,7 +90,7 @@ BUGS = (
     Bug(
         "no fdatasync after a chunk",
         "io/mcap_log.py",
-        "os.fdatasync(self._descriptor)",
+        "_confirm(self._descriptor)",
         "pass",
         "test_each_chunk_is_confirmed_by_default",
     ),

@@ -39,6 +39,7 @@ KEYS = {
     "xarray": "",
     "dask": "",
     "distributed": "",
+    "pyarrow": "",
 }
 #: Packages that ROS from apt was compiled for, or that come with it: never a second time by pip.
 OF_THE_SYSTEM = {"numpy", "scipy", "pyproj", "matplotlib", "PyYAML", "jinja2"}

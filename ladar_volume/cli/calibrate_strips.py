@@ -197,7 +197,7 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
         "chi2",
         "freedom",
         "agree",
-        "surprising",
+        "beyond_prior",
         "before_m",
         "after_m",
         "patches",

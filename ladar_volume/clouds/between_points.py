@@ -178,7 +178,8 @@ def add_kernel(
             gradient[above[where, k]] -= part * at.coarse[t, k]
             gradient[corners[t, k]] += part * at.own[k]
         differences[t] += part * height
-        covered[where] += part
+        if at.own.min() > 0.0:  # a corner may lie on an edge of the coarser surface
+            covered[where] += part
 
 
 def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64, float, float]:

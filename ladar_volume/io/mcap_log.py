@@ -38,8 +38,14 @@ def usual_definition(kind: str) -> str:
     )
 
 
-#: Confirms data, where the system tells them from the times of the file.
-_SYNC = getattr(os, "fdatasync", os.fsync)
+def _confirm(descriptor: int) -> None:
+    """The data are on the disk when it returns; the times of the file too where the system does
+    not tell them apart.
+    """
+    if hasattr(os, "fdatasync"):
+        os.fdatasync(descriptor)
+    else:
+        os.fsync(descriptor)
 
 
 class _Syncer:
@@ -61,7 +67,7 @@ class _Syncer:
                 return
             self._due.clear()
             try:
-                _SYNC(self._descriptor)
+                _confirm(self._descriptor)
             except OSError as error:
                 self._error = error
 

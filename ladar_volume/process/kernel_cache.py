@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numba.core.caching import FunctionCache
+
+from ladar_volume.process.compile_progress import COMPILING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from numba.core.base import BaseContext
     from numba.core.dispatcher import Dispatcher
     from numba.core.typing.templates import Signature
-
-#: How often stderr hears how far the compiler is, s.
-TOLD_S = 10.0
 
 _said: set[str] = set()
 
@@ -31,32 +29,6 @@ def _say(line: str) -> None:
     if line not in _said:
         _said.add(line)
         sys.stderr.write(f"ladar_volume: {line}\n")
-
-
-class Compiling:
-    """How many kernels this process found in no cache; ``aloud``: stderr hears of it."""
-
-    def __init__(self) -> None:
-        self.count, self.aloud = 0, False
-        self._began = self._told = 0.0
-
-    def begins(self) -> None:
-        """One more is compiled."""
-        now = time.monotonic()
-        self._began = self._began if self.count else now
-        if self.aloud and (not self.count or now - self._told >= TOLD_S):
-            self._told = now
-            rest = "once, some minutes; they are kept" if not self.count else "the rest follows"
-            sys.stderr.write(f"ladar_volume: {self.words()}: {rest}\n")
-        self.count += 1
-
-    def words(self) -> str:
-        """How far it is."""
-        seconds = time.monotonic() - self._began
-        return f"compiling kernels, {self.count} so far in {seconds:.0f} s"
-
-
-COMPILING = Compiling()
 
 
 class KernelCache(FunctionCache):

@@ -214,8 +214,8 @@ def source_agreement(
     """
     total, out = sum(part.values()), []
     for name, members in GROUPS.items():
-        own = sum(part[member] for member in members)
-        visible = own >= VISIBLE * total
+        own = max(sum(part[member] for member in members), 0.0)  # rounding may leave less
+        visible = own > 0.0 and own >= VISIBLE * total
         factor = max(0.0, left - (total - own)) / own if visible else float("nan")
         n = degrees_of_freedom(members[0], span_s, b)
         p = float(chdtrc(n, factor * n)) if visible else float("nan")

@@ -6,7 +6,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator
 
-from ladar_volume.process.kernel_cache import COMPILING
+from ladar_volume.process.compile_progress import COMPILING
 
 #: How often it is told how far the compiler is, s.
 EVERY_S = 1.0

@@ -15,15 +15,16 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.interpolate import LinearNDInterpolator
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt
-from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
+from ladar_volume.tin.locate import height_at
 from ladar_volume.volume.outline import bodies
 
 #: Steeper than any loose material, and higher than a step (m): such an edge parts the surface.
@@ -179,8 +180,8 @@ def rise_above(r: F64, left: F64) -> F64:
     low, high = r[:, :2].min(axis=0) - AROUND_M, r[:, :2].max(axis=0) + AROUND_M
     near = left[((left[:, :2] > low) & (left[:, :2] < high)).all(axis=1)]
     try:
-        z = LinearNDInterpolator(near[:, :2], near[:, 2])(r[:, :2])
-    except (QhullError, ValueError):
+        z = height_at(build_tin(near), r[:, :2])
+    except SurfaceError:
         return np.zeros(len(r))
     return np.nan_to_num(r[:, 2] - z)
 
