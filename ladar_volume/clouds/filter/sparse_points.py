@@ -19,7 +19,7 @@ CLUTTER = REASONS.index("clutter")
 LINE = 8
 #: The spacing of points too few for a surface over that of the points next to them: from ring to
 #: ring it may jump; and of those beside a surface among themselves.
-JUMP, BESIDE = 6.0, 2.0
+JUMP, BESIDE = 4.0, 2.0
 #: Quantile of the noise on surfaces that a point on none may have: surfaces that face the scanner
 #: show all of it. Noise of angles grows with the range, and so with the spacing: the noise over the
 #: spacing that surfaces of wide spacing, from that quantile on, show in the middle of them.
