@@ -14,6 +14,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.special import chdtrc
 
 from ladar_volume.math.kernels import kernel
@@ -49,6 +50,8 @@ VISIBLE = 0.02
 #: these, the shift is no less than so many metres, and across it less than this part of the square.
 #: Patches that scatter more than so many of the others are left out.
 SHIFTED, SHIFT_M, ROUND, USUAL = 0.25, 0.06, 0.3, 0.98
+#: A fit bends over an edge so many distances of neighbouring patches beside a steep face.
+BENDS = 3.0
 
 
 class Bins(NamedTuple):
@@ -200,7 +203,8 @@ def pass_agreement(
     predicted = math.sqrt(noise + shared)
     refuted = p < REFUTED and factor > LEAST
     sources = source_agreement(part, left, span_s, b)
-    shift, toward = sideways_shift(found, patches.normal)
+    bent = beside_steep_faces(patches.centre, patches.normal)[found.rows]
+    shift, toward = sideways_shift(found.of(~bent), patches.normal)
     return Agreement(
         math.sqrt(square), predicted, factor, n, p, refuted, sources, shift, math.degrees(toward)
     )
@@ -223,6 +227,19 @@ def source_agreement(
     return tuple(out)
 
 
+def beside_steep_faces(centre: F64, normal: F64) -> Bool:
+    """Which patches with centre and normal (m, 3) lie beside a steep one, (m,). Their normals lean
+    where the fit bends over an edge, and scatter there by its shape: they tell nothing of a shift.
+    """
+    steep = np.abs(normal[:, 2]) <= UPWARD
+    if not steep.any() or len(centre) < 2:
+        return steep
+    apart = float(np.median(np.asarray(cKDTree(centre).query(centre, 2)[0])[:, 1]))
+    off = np.asarray(cKDTree(centre[steep]).query(centre)[0])
+    beside: Bool = off <= BENDS * apart
+    return beside
+
+
 def sideways_shift(found: Scatter, normal: F64) -> tuple[float, float]:
     """By how much two halves of the passes lie apart sideways, m, and along which direction, rad
     from east; 0 where they do not.
@@ -231,6 +248,8 @@ def sideways_shift(found: Scatter, normal: F64) -> tuple[float, float]:
     of which it moves a share q: the form of the tensor ``d dᵀ / 4`` in n where q is a half. It is
     fitted, and its horizontal part has one axis. normal : (m, 3) of all patches.
     """
+    if len(found.rows) < FEWEST:
+        return 0.0, 0.0
     predicted = np.sum(list(found.source.values()), axis=0)
     weight = 1.0 / (predicted + GRAIN_M**2)
     y = found.unexplained_m2 * weight

@@ -12,6 +12,7 @@ from ladar_volume.model.records import Agreement, Volume
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import (
     Scatter,
+    beside_steep_faces,
     cover_scatter,
     dispersion,
     pass_agreement,
@@ -160,6 +161,14 @@ def sloping(jump, own_m=0.0, seed=3):
     noise = np.full(240, 0.012**2)
     square = noise * rng.chisquare(60, 240) / 60 + 0.25 * (n @ jump) ** 2 + (own_m * tilt) ** 2
     return Scatter(np.arange(240), square, {"noise": noise}), n
+
+
+def test_patches_beside_a_wall_are_not_asked_for_a_shift():
+    x = np.arange(40) * 0.25
+    centre, normal = np.stack([x, 0 * x, 0 * x], axis=1), np.tile((0.0, 0.0, 1.0), (40, 1))
+    assert not beside_steep_faces(centre, normal).any()
+    normal[20] = (1.0, 0.0, 0.0)
+    assert np.flatnonzero(beside_steep_faces(centre, normal)).tolist() == list(range(17, 24))
 
 
 @pytest.mark.parametrize("jump", [(0.12, 0.0, 0.0), (0.05, 0.09, 0.02), (-0.08, 0.08, 0.0)])
