@@ -34,6 +34,7 @@ def test_the_true_volume_lies_in_the_interval_of_the_bundled_surveys(name, capsy
     assert result["sigma_m3"] <= 0.02 * truth
     assert sum(result["budget_m6"].values()) == pytest.approx(result["sigma_m3"] ** 2, rel=1e-9)
     assert ("edges" in result["budget_m6"]) == (name == "box")  # a pile has no steep faces
+    assert result["verdict"]["status"] == "sound"
     assert result["base_same_survey"] and result["version"] and result["input"]["sha256"]
     points, lost = result["points"], result["losses"]
     assert points["returns"] == points["mapped"] + sum(
