@@ -2,15 +2,8 @@
 replay makes of the same points, whatever their order.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, sys, time
@@ -121,23 +114,7 @@ print(
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bodies")
-    script = folder / "bodies.py"
-    script.write_text(SCRIPT)
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 9) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'scenes'}",
-    }
-    done = subprocess.run(
-        [sys.executable, str(script), str(folder / "out")],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    return result_of(SCRIPT, folder / "out", timeout_s=600, domain=9)
 
 
 def test_the_bodies_are_those_of_replay(seen):

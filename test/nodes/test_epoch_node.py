@@ -3,14 +3,9 @@ volumes.
 """
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, sys, time
@@ -135,23 +130,7 @@ print(
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("epoch")
-    script = folder / "epoch.py"
-    script.write_text(SCRIPT)
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 5) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'scenes'}",
-    }
-    done = subprocess.run(
-        [sys.executable, str(script), str(folder / "out")],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return folder / "out", json.loads(done.stdout.splitlines()[-1])
+    return folder / "out", result_of(SCRIPT, folder / "out", timeout_s=300, domain=5)
 
 
 def test_the_change_since_the_epoch_is_a_row_of_the_volumes(seen):

@@ -15,7 +15,7 @@ def printed_by(*command, timeout_s=120, domain=0):
     each other.
     """
     environment = os.environ | {
-        "PYTHONPATH": str(ROOT),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "test" / "scenes")]),
         "ROS_DOMAIN_ID": str((os.getpid() + domain) % 90 + 10),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
