@@ -287,23 +287,32 @@ class VolumeNode(StageNode):
 
     def finish(self) -> None:
         """The last estimate, if anything is new, said once more in the log."""
-        with self._lock:
-            if self._due:
-                self._compute()
-            if self._closed is not None and self._closed.ended():
-                self._take_bodies()
-        v = self._last
+        try:
+            with self._lock:
+                if self._due:
+                    self._compute()
+                if self._closed is not None and self._closed.ended():
+                    self._take_bodies()
+        finally:
+            self._log_last_words()
+
+    def _log_last_words(self) -> None:
+        """The volume at the end; that it lacks data, or why there is none."""
+        v, log = self._last, self.get_logger()
         if self._closed is not None:
-            self.get_logger().info(self._closed.last_words())
-        if v is None:
-            return
-        found = f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+            log.info(self._closed.last_words())
+        found = (
+            f"none, {self._why_not}"
+            if v is None
+            else f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+        )
         if self.cut_off:
-            self.get_logger().warning(
-                f"incomplete volume: {found}; {self._others.waiting_text()}: replay the log"
-            )
+            waiting = self._others.waiting_text()
+            log.warning(f"incomplete volume: {found}; {waiting}: replay the log")
+        elif v is None:
+            log.info(f"no volume at the end: {self._why_not}")
         else:
-            self.get_logger().info(f"volume at the end: {found}")
+            log.info(f"volume at the end: {found}")
 
     def _compute(self, naive: bool = False) -> Estimate:
         self._hand_over()
@@ -315,7 +324,7 @@ class VolumeNode(StageNode):
             self._since.compare(self.stage)
             estimate = self.stage.estimate(naive)
         except LadarVolumeError as error:
-            self._why_not = str(error)
+            self._why_not, self._last = str(error), None  # an older volume is none of these data
             if (
                 error.reason == "volume_no_navigation"
             ):  # the filter held returns from before this node listened: once more

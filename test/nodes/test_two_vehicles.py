@@ -152,3 +152,16 @@ def test_nodes_signalled_at_once_under_load_end_with_all_data_or_say_so(tmp_path
         assert float(end[1]) == pytest.approx(whole, abs=1e-4)
     with log.open("rb") as stream:
         assert make_reader(stream).get_summary().statistics.message_count > 50  # it has its index
+
+
+def test_a_volume_node_without_any_data_says_at_its_end_that_there_is_no_volume():
+    program = [sys.executable, "-m", "ladar_volume.nodes.programs", "volume_node"]
+    node = run(program, 62)
+    try:
+        watcher = READY.replace(' or watcher.number("volume_node", "joined") != 1', "")
+        assert run([sys.executable, "-c", watcher, "volume_node"], 62).wait(timeout=90) == 0
+        node.send_signal(signal.SIGINT)
+        words = "".join(node.communicate(timeout=60))
+    finally:
+        node.kill()
+    assert node.returncode == 0 and "no volume at the end: no surface yet" in words, words
