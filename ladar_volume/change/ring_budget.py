@@ -26,7 +26,7 @@ WIDE_EDGES, BRIDGED_SHARE = 8.0, 0.05
 
 
 @dataclass(frozen=True)
-class CheckedRing:
+class RingCheck:
     """found : with the lines ``ring`` and ``sampling`` in its budget · fit : of the ring before any
     correction · b : scan B as it was used · correction : its name · verdict
     """
@@ -46,7 +46,7 @@ def checked_excavation(
     *,
     pole_map: F64 | None = None,
     max_edge_m: float = np.inf,
-) -> CheckedRing:
+) -> RingCheck:
     """The volume between scans A and B with the registration judged by their ring.
 
     Without a correction a misregistration that stands out enters the variance with its square, and
@@ -58,7 +58,7 @@ def checked_excavation(
     """
     found = excavate(a, b, region, pole_map=pole_map, max_edge_m=max_edge_m)
     fit = fit_ring(found.between, b.points[found.in_b])
-    doubts, now, when = changed_ground(fit, found), fit, ""
+    doubts, now, when = changed_ground_doubts(fit, found), fit, ""
     if correction != "none":
         taken = fit_ring(found.between, b.points[found.in_b], CORRECTIONS[correction])
         b, when = transform_scan(b, taken), "after the correction "
@@ -73,7 +73,7 @@ def checked_excavation(
     if off and now.effect_m3**2 > rest:
         doubts += registration_doubts(now, when)
     found = replace(found, budget_m6=budget, sigma_m3=float(np.sqrt(sum(budget.values()))))
-    return CheckedRing(found, fit, b, correction, Verdict(tuple(doubts + bridged_doubts(found))))
+    return RingCheck(found, fit, b, correction, Verdict(tuple(doubts + bridged_doubts(found))))
 
 
 def sampling_line(
@@ -131,7 +131,7 @@ def registration_doubts(fit: RingFit, when: str = "") -> list[Doubt]:
     ]
 
 
-def changed_ground(fit: RingFit, found: Excavation) -> list[Doubt]:
+def changed_ground_doubts(fit: RingFit, found: Excavation) -> list[Doubt]:
     """The doubt of a ring that lies on changed ground."""
     share = fit.changed_share
     if share <= CHANGED_SHARE:

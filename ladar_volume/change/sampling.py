@@ -57,7 +57,10 @@ def halves(a: Scan, b: Scan, region: Region, seed: int, max_edge_m: float) -> F6
     without which the ring would lie outside of many halves.
     """
     rng = np.random.default_rng(seed)
-    rows_a, rows_b = halved(a.points, region, rng), halved(b.points, region, rng)
+    rows_a, rows_b = (
+        random_halves_of(a.points, region, rng),
+        random_halves_of(b.points, region, rng),
+    )
     edge_a, edge_b = outline(a), outline(b)
     coarse = replace(region, spacing_m=float(np.sqrt(2.0)) * region.spacing_m)
     out: F64 = np.array(
@@ -75,7 +78,7 @@ def halves(a: Scan, b: Scan, region: Region, seed: int, max_edge_m: float) -> F6
     return out
 
 
-def halved(points: F64, region: Region, rng: np.random.Generator) -> tuple[I64, I64]:
+def random_halves_of(points: F64, region: Region, rng: np.random.Generator) -> tuple[I64, I64]:
     """Rows of two random halves of points (n, 3), those of the region by themselves: which points
     scan B has far beyond it depends on how the region's box lies, and must not change the others.
     """

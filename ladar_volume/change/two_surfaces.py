@@ -335,10 +335,10 @@ def cut_both(
         ring = ring.insert(missing, middles)
         if len(ring) > MAX_RING:
             break
-    raise ring_lost(missing)
+    raise lost_ring_error(missing)
 
 
-def ring_lost(missing: I64) -> VolumeError:
+def lost_ring_error(missing: I64) -> VolumeError:
     """The error of a ring of which edges (j,) cannot be cut into the surfaces."""
     return VolumeError(
         (

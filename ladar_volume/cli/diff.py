@@ -20,7 +20,7 @@ from ladar_volume.change.excavation import (
     by_resolution,
     region_of,
 )
-from ladar_volume.change.ring_budget import CheckedRing, checked_excavation
+from ladar_volume.change.ring_budget import RingCheck, checked_excavation
 from ladar_volume.cli.diff_bodies import bodies
 from ladar_volume.cli.diff_input import (
     Noise,
@@ -231,7 +231,7 @@ def scan_facts(scan: NoisyScan, in_region: Bool) -> dict[str, Any]:
     }
 
 
-def ring_facts(checked: CheckedRing) -> dict[str, Any]:
+def ring_facts(checked: RingCheck) -> dict[str, Any]:
     """What the ring says of the registration, as plain values: before any correction."""
     fit = checked.fit
     return {

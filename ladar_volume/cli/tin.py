@@ -33,7 +33,7 @@ from ladar_volume.cli.surface_options import (
 )
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.volume_verdict import area_counted, stray_doubts, surface_doubts
+from ladar_volume.clouds.volume_verdict import counted_areas, stray_doubts, surface_doubts
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.pointfiles.cloud_files import check_output, write_cloud
 from ladar_volume.io.results import json_text
@@ -178,7 +178,7 @@ def surface_verdict(facts: Mapping[str, Any], surface: CloudSurface) -> list[Dou
         return []
     tin = surface.made.tin
     found = stray_doubts(facts["clean"]["strays"], facts["points"] - facts["copies"])
-    return found + surface_doubts(surface, area_counted(surface, tin.relevant))
+    return found + surface_doubts(surface, counted_areas(surface, tin.relevant))
 
 
 def in_cloud(tin: Tin, index: I64) -> Tin:

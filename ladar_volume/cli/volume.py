@@ -61,7 +61,7 @@ from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
 from ladar_volume.clouds.sampling.stray_effect import stray_effect
 from ladar_volume.clouds.volume_verdict import (
-    area_counted,
+    counted_areas,
     places,
     stray_doubts,
     surface_doubts,
@@ -300,7 +300,7 @@ def compute_volume(
     """
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
     # piles count on the first surface alone
-    areas = [area_counted(s, m) for s, m in zip(surfaces, found.counted, strict=False)]
+    areas = [counted_areas(s, m) for s, m in zip(surfaces, found.counted, strict=False)]
     judgement = volume_verdict(task, surfaces, found, areas)
     more: dict[str, Any] = {}
     if found.each:
@@ -439,7 +439,7 @@ def stray_facts(
         if len(surface.strays):
             r = source.cloud.r[surface.strays]
             r = r if task.frame is None else task.frame.points(r)
-            area = area_counted(surface, mask)
+            area = counted_areas(surface, mask)
             effect += sign * stray_effect(surface.made.tin, area, r, found.level_base)
     return {
         "how": task.arguments.clean,

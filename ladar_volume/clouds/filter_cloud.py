@@ -132,7 +132,7 @@ def _result(
         reach=np.where(flag, sparse.reach_m, reach),
         curved=(done.kind[index] == -1) & ~flag,
         flag=flags if flag.any() else None,
-        verdict=doubts(report, tuned.told),
+        verdict=doubts(report, tuned.noise_known),
     )
 
 

@@ -100,9 +100,9 @@ def unchanged_part(tin: Tin) -> UnchangedPart | None:
 def with_offset(volume: CloudVolume, found: UnchangedPart) -> tuple[CloudVolume, list[Doubt]]:
     """The volume with the offset of two clouds where nothing changed in sigma."""
     effect = found.offset_m * volume.area_m2
-    told = found.share >= SAME and found.changed >= OTHER
+    is_partly_changed = found.share >= SAME and found.changed >= OTHER
     beyond = abs(found.offset_m) > CHANCE * found.sigma_m
-    if not (told and beyond and abs(effect) > MATTERS * volume.sigma_m3):
+    if not (is_partly_changed and beyond and abs(effect) > MATTERS * volume.sigma_m3):
         return volume, []
     words = (
         f"over {100 * found.share:.0f} % of the common footprint the two clouds are alike but for "

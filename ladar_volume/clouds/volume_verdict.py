@@ -241,23 +241,23 @@ def with_gaps(
     stays that of the triangles, as in a sequence of levels, and what it would move by is in sigma.
     """
     tin = surface.made.tin
-    told = np.zeros(len(tin.triangles), np.bool_)
+    gap_mask = np.zeros(len(tin.triangles), np.bool_)
     if base is None or surface.sigma_m is None or math.isnan(volume.sigma_m3):
-        return volume, told, []
+        return volume, gap_mask, []
     gaps = find_gaps(tin, inside)
     if not len(gaps.areas):
-        return volume, told, []
+        return volume, gap_mask, []
     found = bridged_volume(tin, base, inside, surface.vertex_variance, gaps)
     known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
-    told = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
+    gap_mask = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
     if not moves:
         more = found.variance_m6 + found.more_m3**2
-        return with_lines(volume, {"unseen": more}), told, doubts
+        return with_lines(volume, {"unseen": more}), gap_mask, doubts
     up = volume.cut_m3 >= volume.fill_m3
     more, less = (found.more_m3, 0.0) if up else (0.0, -found.more_m3)
     volume = dataclasses.replace(volume, cut_m3=volume.cut_m3 + more, fill_m3=volume.fill_m3 + less)
-    return with_lines(volume, {"unseen": found.variance_m6}), told, doubts
+    return with_lines(volume, {"unseen": found.variance_m6}), gap_mask, doubts
 
 
 def with_between(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
@@ -307,11 +307,11 @@ def volume_with_verdict(
     heights count from.
     """
     tin, by_body = surface.made.tin, parameters.volume.outline == "auto"
-    volume, told, gaps = with_gaps(
+    volume, gap_mask, gaps = with_gaps(
         volume, surface, inside, base, parameters.volume.outline != "all"
     )
     height = height_above(tin.vertices, base)
-    between = between_points(surface, inside, height, ~told)
+    between = between_points(surface, inside, height, ~gap_mask)
     found = with_between(volume, between)
     doubts = gaps or surface_doubts(surface, inside)
     doubts += shrunk_doubts(surface, inside, height, found)
@@ -351,7 +351,7 @@ def with_growth(
     return with_lines(volume, {"vegetation": sigma**2}), growth_doubts(growth, sigma)
 
 
-def area_counted(surface: CloudSurface, mask: Bool) -> F64:
+def counted_areas(surface: CloudSurface, mask: Bool) -> F64:
     """Area (m,) m² of the triangles in the mask (m,), 0 elsewhere."""
     tin = surface.made.tin
     return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)

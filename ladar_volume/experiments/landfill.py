@@ -85,7 +85,7 @@ class Study:
     resolution: ResolutionSeries
 
 
-def fitted(points: F64, number: I64, instrument: F64, sigma_m: float) -> dict[int, Sphere]:
+def fit_spheres(points: F64, number: I64, instrument: F64, sigma_m: float) -> dict[int, Sphere]:
     """The spheres by number, of known radius, from points (k, 3) m seen from an instrument (3,);
     without those of too few points.
     """
@@ -102,9 +102,9 @@ def fitted(points: F64, number: I64, instrument: F64, sigma_m: float) -> dict[in
     return out
 
 
-def registered(raw: RawScan, reference: dict[int, Sphere]) -> tuple[Scan, list[int]]:
+def register_scan(raw: RawScan, reference: dict[int, Sphere]) -> tuple[Scan, list[int]]:
     """The scan in the map frame by a levelled transform, and the numbers of the spheres it used."""
-    own = fitted(raw.on_spheres, raw.sphere, np.zeros(3), RANGE_SIGMA_M)
+    own = fit_spheres(raw.on_spheres, raw.sphere, np.zeros(3), RANGE_SIGMA_M)
     names = sorted(own.keys() & reference.keys())
     sides = [
         (np.array([s[k].centre for k in names]), np.array([s[k].C_centre for k in names]))
@@ -134,7 +134,9 @@ def scans_of(
     station = np.array([14.0, -9.0, 1.6])
     out = []
     for which, mesh in enumerate((layer.before, layer.after)):
-        reference = fitted(*tacheometer(layer.spheres, station, rng), station, TACHEOMETER_SIGMA_M)
+        reference = fit_spheres(
+            *tacheometer(layer.spheres, station, rng), station, TACHEOMETER_SIGMA_M
+        )
         at = layer.spheres.copy()
         at[KNOCKED] += KNOCKED_M * np.array([0.6, -0.8, 0.0]) * which
         raw = scan(mesh, layer.scanners[which], np.delete(at, HIDDEN[which], axis=0), rng)
@@ -152,7 +154,7 @@ def scans_of(
                 number[keep],
             )
         out.append(
-            registered(
+            register_scan(
                 RawScan(raw.surface, raw.on_spheres, number, raw.heading_rad, raw.scanner_map),
                 reference,
             )
@@ -160,7 +162,7 @@ def scans_of(
     return out[0], out[1]
 
 
-def measured(number: int, seed: int) -> tuple[Scan, Scan, Region]:
+def registered_scans(number: int, seed: int) -> tuple[Scan, Scan, Region]:
     """Both registered scans of a layer, all their points, and its region."""
     layer = make_layer(number, seed)
     (a, _), (b, _) = scans_of(layer, np.random.default_rng([seed, number, 5]))
@@ -195,7 +197,7 @@ def run(seeds: int, progress: Callable[[str], None] = lambda text: None) -> Stud
             row.append(measure(number, seed))
         bodies.append(row)
     progress("volume against resolution")
-    return Study(bodies, by_resolution(*measured(1, 0), list(CELLS_M)))
+    return Study(bodies, by_resolution(*registered_scans(1, 0), list(CELLS_M)))
 
 
 def size_shares(body: Body, sigma_m: float = RANGE_SIGMA_M) -> dict[str, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ladar_volume.change.density import size_rule
-from ladar_volume.experiments.landfill import Study, measured, size_shares, summary
+from ladar_volume.experiments.landfill import Study, registered_scans, size_shares, summary
 from ladar_volume.experiments.landfill_scene import LAYER_M, make_layer
 from ladar_volume.experiments.nist.nist_figures import panels
 from ladar_volume.experiments.nist.nist_tables import markdown, with_spread
@@ -148,7 +148,7 @@ def profiles(_: Study) -> Figure:
     the cut.
     """
     layer = make_layer(1, 0)
-    a, b = measured(1, 0)[:2]
+    a, b = registered_scans(1, 0)[:2]
     figure, axes = panels(1, 1, 9.0, 5.0)
     ax = axes[0, 0]
     for scan, (vertices, _t), color, name in (

@@ -171,7 +171,7 @@ COAL = Cone(CONE_M3, math.radians(REPOSE_DEG))
 
 
 @dataclass(frozen=True)
-class Tolerated:
+class ToleranceRule:
     """A pile and the share of its volume by which a survey may miss it."""
 
     cone: Cone = COAL
@@ -211,9 +211,9 @@ class Tolerated:
         return math.pi * height**3 / (3.0 * math.tan(self.cone.repose_rad) ** 2)
 
 
-def summary(pile: Tolerated | None = None) -> dict[str, Any]:
+def summary(pile: ToleranceRule | None = None) -> dict[str, Any]:
     """Every number of the study as plain values, of a pile of coal by default."""
-    pile, printed = pile or Tolerated(), READINGS[0]
+    pile, printed = pile or ToleranceRule(), READINGS[0]
     return {
         "position_sigma_m": {
             "printed": PRINTED_POSITION_M,
@@ -240,7 +240,7 @@ def summary(pile: Tolerated | None = None) -> dict[str, Any]:
     }
 
 
-def cone_facts(pile: Tolerated) -> dict[str, Any]:
+def cone_facts(pile: ToleranceRule) -> dict[str, Any]:
     """The pile as a cone (seed 004 equations 5 and 6)."""
     cone = pile.cone
     return {
@@ -254,7 +254,7 @@ def cone_facts(pile: Tolerated) -> dict[str, Any]:
     }
 
 
-def rule_facts(pile: Tolerated) -> dict[str, Any]:
+def rule_facts(pile: ToleranceRule) -> dict[str, Any]:
     """Whether each reading's heights hold the tolerated share of the pile."""
 
     def row(reading: Reading, height_m: float) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from ladar_volume.experiments.stockpile import (
     READINGS,
     SHARE,
     SOURCES,
-    Tolerated,
+    ToleranceRule,
     alone,
     position_sigmas,
 )
@@ -36,7 +36,7 @@ def metres(values: object, form: str = ".4f") -> list[str]:
     return [format(float(v), form) for v in np.atleast_1d(np.asarray(values, dtype=np.float64))]
 
 
-def position_table(_: Tolerated) -> str:
+def position_table(_: ToleranceRule) -> str:
     """Section 5.1.1: an error vector of 0.05 m split into axes."""
     rows = [
         ["printed", *metres(PRINTED_POSITION_M, ".5f")],
@@ -46,7 +46,7 @@ def position_table(_: Tolerated) -> str:
     return markdown(["", "sigma_X / m", "sigma_Y / m", "sigma_Z / m"], rows)
 
 
-def point_table(_: Tolerated) -> str:
+def point_table(_: ToleranceRule) -> str:
     """Section 5.2: precision of one point."""
     head = ["", *(f"{axis} at {h:.0f} m" for h in HEIGHTS_M for axis in "XYZ")]
     rows = [["printed", *(c for row in PRINTED for c in metres(row))]]
@@ -54,7 +54,7 @@ def point_table(_: Tolerated) -> str:
     return markdown(head, rows)
 
 
-def source_table(_: Tolerated) -> str:
+def source_table(_: ToleranceRule) -> str:
     """What each source alone gives in the printed geometry."""
     head = ["source alone", *(f"{axis} at {h:.0f} m" for h in HEIGHTS_M for axis in "XYZ")]
     one = READINGS[0]
@@ -65,10 +65,10 @@ def source_table(_: Tolerated) -> str:
     return markdown(head, rows)
 
 
-def cone_table(pile: Tolerated) -> str:
+def cone_table(pile: ToleranceRule) -> str:
     """Section 5.2 (stockpile volumes): a cone that changes by a share, equations 5 and 6."""
     cone, c = pile.cone, pile.cone.changes(pile.share)
-    printed = ("0.086", "0.060") if pile == Tolerated() else ("", "")
+    printed = ("0.086", "0.060") if pile == ToleranceRule() else ("", "")
     rows = [
         ["radius", "", f"{c['radius']:.4f}", f"{c['radius_exact']:.4f}"],
         ["width", printed[0], f"{c['width']:.4f}", f"{c['width_exact']:.4f}"],
@@ -88,7 +88,7 @@ def cone_table(pile: Tolerated) -> str:
     return text + markdown([change, "printed / m", "first order / m", "exact / m"], rows)
 
 
-def table_2(pile: Tolerated) -> str:
+def table_2(pile: ToleranceRule) -> str:
     """Table 2: obtainable against required, as printed and as corrected."""
     c, first, last = pile.cone.changes(pile.share), READINGS[0], READINGS[-1]
     rows = []
@@ -114,7 +114,7 @@ def table_2(pile: Tolerated) -> str:
     return markdown(head, rows)
 
 
-def rule_table(pile: Tolerated) -> str:
+def rule_table(pile: ToleranceRule) -> str:
     """The rule that a point's sigma_Z be no more than the change of height, by reading."""
     rows = []
     for reading in READINGS:
@@ -138,9 +138,9 @@ TABLES = {
 }
 
 
-def tables(pile: Tolerated | None = None) -> str:
+def tables(pile: ToleranceRule | None = None) -> str:
     """All tables as Markdown, of a pile of coal by default."""
-    pile = pile or Tolerated()
+    pile = pile or ToleranceRule()
     return "\n".join(f"## {title}\n\n{make(pile)}" for title, make in TABLES.items())
 
 

@@ -31,7 +31,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """
     try:
         with part_folder(path.parent, path.name) as part:
-            with errors_naming(part, path.parent):
+            with name_in_errors(part, path.parent):
                 yield part / path.name
             sync(part / path.name)
             (part / path.name).replace(path)
@@ -59,7 +59,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def errors_naming(part: Path, asked: Path) -> Iterator[None]:
+def name_in_errors(part: Path, asked: Path) -> Iterator[None]:
     """Refusals of what is written to ``part`` name ``asked``, which the user knows."""
     try:
         yield

@@ -26,7 +26,7 @@ from ladar_volume.model.parameters import GeoreferenceParameters
 from ladar_volume.model.records import Returns, select
 
 
-class Named(Protocol):
+class CloudField(Protocol):
     """sensor_msgs/PointField."""
 
     name: str
@@ -36,7 +36,7 @@ class Cloud(Protocol):
     """sensor_msgs/PointCloud2, as far as it is read here."""
 
     header: object
-    fields: Sequence[Named]
+    fields: Sequence[CloudField]
 
 
 #: All fields that are read; drivers write many more.

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ladar_volume.io.atomic_write import (
-    errors_naming,
     lock_folder,
+    name_in_errors,
     part_folder,
     sync,
     sync_tree,
@@ -48,7 +48,7 @@ def output_set(path: str | Path, names: Sequence[str]) -> Iterator[Path]:
             ) from error
         except OSError as error:
             raise unwritable(asked, error) from error
-        with errors_naming(part, asked):
+        with name_in_errors(part, asked):
             yield part
         try:
             _commit(part, folder, names)

@@ -111,7 +111,7 @@ def mesh_cloud(
     own = None if normals is None else np.asarray(normals, np.float64)
     n = unit_normals(p, index, own, first, len(given), settings.signed)
     if settings.method == "published":
-        return mesh_published(given, first, p, n, settings)
+        return published_mesh(given, first, p, n, settings)
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
     reach = settings.radius_m or REACH * spacing
     hole = settings.hole_m or HOLE / REACH * reach
@@ -230,7 +230,7 @@ def _collect_triangles(fan: I32, size: I32, radius_m: float) -> I32:
     return out
 
 
-def mesh_published(
+def published_mesh(
     given: F64, first: I64, p: F64, n: F64, settings: LocalMeshParameters
 ) -> LocalMesh:
     """The mesh of the published method: each triangle faces the side of the normals at its corners;

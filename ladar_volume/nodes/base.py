@@ -48,7 +48,7 @@ from ladar_volume.nodes.frames.static_mounting import mounting_from_frames
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
-from ladar_volume.nodes.watch.first_start import compiling_told
+from ladar_volume.nodes.watch.first_start import compilation_reports
 from ladar_volume.nodes.watch.health import Health
 from ladar_volume.nodes.watch.loss_shares import LossShares
 from ladar_volume.nodes.work_queue import WorkQueue
@@ -206,7 +206,7 @@ class StageNode(LifecycleNode, ABC):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         try:
             if self.kernels is not None:
-                with compiling_told(self._tell_first_start):
+                with compilation_reports(self._tell_first_start):
                     importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
             if "calibration" in self.sections:
                 self._mount()

@@ -32,7 +32,7 @@ from ladar_volume.nodes.page_node import PageNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
-from ladar_volume.nodes.watch.first_start import compiling_told
+from ladar_volume.nodes.watch.first_start import compilation_reports
 from ladar_volume.nodes.watch.upstream_nodes import own_name
 from ladar_volume.page.feed import Feed
 
@@ -147,7 +147,7 @@ class Graph:
         for stage in (
             STAGES
         ):  # once here, so that processes do not compile the same kernels beside each other
-            with compiling_told(lambda words: None):
+            with compilation_reports(lambda words: None):
                 warm_up(stage)
         before_ros()
         # no handler of its own: it would end the context before the nodes have finished

@@ -124,7 +124,7 @@ class LoggerNode(StageNode):
         )
         self._known: dict[str, TopicSubscription | None] = {}
         self._wanted = WantedTopics(self.get_namespace(), parameters.logger)
-        self._told = ""
+        self._reported = ""
         self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
         self._rates: dict[str, tuple[float, int]] = {}
         self._repairs: list[Recovery | OutputError] = []
@@ -300,9 +300,9 @@ class LoggerNode(StageNode):
     def errors(self) -> list[str]:
         """Why nothing is written, said on the console as well when it begins."""
         problem = self._recorder.problem
-        if problem and problem != self._told:
+        if problem and problem != self._reported:
             self.get_logger().error(problem)
-        self._told = problem
+        self._reported = problem
         return [f"nothing is logged: {problem}"] if problem else []
 
     def status(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from visualization_msgs.msg import Marker
 
 from ladar_volume.io import cdr, results
 from ladar_volume.io.cloud_messages import stamp_ns
-from ladar_volume.io.meshfiles.body_mesh import joined, write_bodies
+from ladar_volume.io.meshfiles.body_mesh import join_bodies, write_bodies
 from ladar_volume.io.message_tables import (
     filter_update,
     filtered_points,
@@ -218,7 +218,7 @@ class VolumeNode(StageNode):
             found = self._closed.done(lambda: self.stage.epoch().sources, self.parameters)
             if found is not None:
                 self._publish_volumes(self._rows())
-                self._mesh.publish(cdr.mesh_of(*joined([b.body for b in found.bodies])))
+                self._mesh.publish(cdr.mesh_of(*join_bodies([b.body for b in found.bodies])))
         finally:
             self.wake()
 
@@ -411,11 +411,11 @@ class VolumeNode(StageNode):
                 )
             except Exception as error:  # who asked is told, too
                 self.defect(error)
-                told = {
+                answer = {
                     "error": f"{type(error).__name__}: {error}",
                     "reason": "message_internal_error",
                 }
-                response.success, response.message = False, json.dumps(told)
+                response.success, response.message = False, json.dumps(answer)
             return response
 
         return call

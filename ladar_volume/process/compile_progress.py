@@ -1,4 +1,4 @@
-"""How far the compiler of kernels is: counted where kernels are compiled, read by who shows it. It
+"""Progress of compiling kernels: counted where kernels are compiled, read where it is shown. It
 imports no compiler, since nodes without kernels show it, too.
 """
 
@@ -7,31 +7,31 @@ from __future__ import annotations
 import sys
 import time
 
-#: How often stderr hears how far the compiler is, s.
-TOLD_S = 10.0
+#: Time between two lines on stderr, s.
+REPORT_EVERY_S = 10.0
 
 
-class Compiling:
-    """How many kernels this process found in no cache; ``aloud``: stderr hears of it."""
+class CompileProgress:
+    """How many kernels this process compiled; ``to_stderr``: whether lines go to stderr."""
 
     def __init__(self) -> None:
-        self.count, self.aloud = 0, False
-        self._began = self._told = 0.0
+        self.count, self.to_stderr = 0, False
+        self._began = self._reported = 0.0
 
-    def begins(self) -> None:
-        """One more is compiled."""
+    def begin_kernel(self) -> None:
+        """Count one more kernel, about to be compiled."""
         now = time.monotonic()
         self._began = self._began if self.count else now
-        if self.aloud and (not self.count or now - self._told >= TOLD_S):
-            self._told = now
+        if self.to_stderr and (not self.count or now - self._reported >= REPORT_EVERY_S):
+            self._reported = now
             rest = "once, some minutes; they are kept" if not self.count else "the rest follows"
             sys.stderr.write(f"ladar_volume: {self.words()}: {rest}\n")
         self.count += 1
 
     def words(self) -> str:
-        """How far it is."""
+        """Kernels so far, and the time they took."""
         seconds = time.monotonic() - self._began
         return f"compiling kernels, {self.count} so far in {seconds:.0f} s"
 
 
-COMPILING = Compiling()
+COMPILE_PROGRESS = CompileProgress()

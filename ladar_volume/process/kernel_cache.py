@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from numba.core.caching import FunctionCache
 
-from ladar_volume.process.compile_progress import COMPILING
+from ladar_volume.process.compile_progress import COMPILE_PROGRESS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +42,7 @@ class KernelCache(FunctionCache):
         except Exception as error:  # a damaged pickle may raise anything
             self._throw_away(error)
         if found is None:
-            COMPILING.begins()
+            COMPILE_PROGRESS.begin_kernel()
         return found
 
     def save_overload(self, sig: Signature, data: object) -> None:

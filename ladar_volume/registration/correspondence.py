@@ -107,7 +107,7 @@ def correspond(
     if max(kept, most) < min(len(a.r), len(b.r)):
         check_scale_and_mirror(a, b, levelled, scale, max(kept, most))
     if first is not None and sound and kept >= most:
-        others = sum(not same_pairing(one, given, first) for one, _ in best if kept == most)
+        others = sum(not pairs_as_given(one, given, first) for one, _ in best if kept == most)
         return as_rows(first, given, False, others)
     if most > 0 and 2 * most > min(len(a.r), len(b.r)):
         if len(best) == 1:
@@ -118,10 +118,10 @@ def correspond(
             reason="registration_numbers",
             value=len(best),
         )
-    return not_renumbered(a, b, given, first, error)
+    return keep_numbering(a, b, given, first, error)
 
 
-def not_renumbered(
+def keep_numbering(
     a: Centres,
     b: Centres,
     given: Numbering,
@@ -162,7 +162,7 @@ def agreeing_numberings(
     return out
 
 
-def same_pairing(one: Numbering, given: Numbering, first: Registration) -> bool:
+def pairs_as_given(one: Numbering, given: Numbering, first: Registration) -> bool:
     """Whether a numbering pairs the spheres that ``first`` used as given."""
     i = np.flatnonzero(given.partner >= 0)[first.used]
     return bool((one.partner[i] == given.partner[i]).all())

@@ -19,8 +19,8 @@ from ladar_volume.simulation.troubled_scenes import (
     BEYOND_M,
     DURATION_S,
     F64,
-    Drawing,
     Pile,
+    SceneDraft,
     rectangle,
 )
 
@@ -38,26 +38,26 @@ def leaves(rng: np.random.Generator, centre: F64, radii: F64, count: int, size: 
     return corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
-def surface(d: Drawing, x: float, y: float) -> float:
+def surface(d: SceneDraft, x: float, y: float) -> float:
     """Height of pile or ground at a place, m."""
     at = np.array([x]), np.array([y])
     return float(d.ground(*at)[0] + d.pile.height(*at)[0])
 
 
-def grow(d: Drawing, x: float, y: float, radii: F64, lift: float, size: float) -> None:
+def grow(d: SceneDraft, x: float, y: float, radii: F64, lift: float, size: float) -> None:
     """A plant at a place, its middle so far above the surface."""
     count = int(1.2 * math.pi * radii[0] * radii[1] / (0.4 * size**2))
     centre = np.array([x, y, surface(d, x, y) + lift])
     d.bodies.append(leaves(d.rng, centre, radii, max(count, 8), size))
 
 
-def box_on(d: Drawing, x: float, y: float, size: tuple[float, float, float]) -> Mesh:
+def box_on(d: SceneDraft, x: float, y: float, size: tuple[float, float, float]) -> Mesh:
     """A box (length, width, height) that stands on the surface."""
     z = surface(d, x, y)
     return box_mesh(*rectangle(x, y, size[0], size[1]), z - 1.0, z + size[2])
 
 
-def shrubs(d: Drawing) -> None:
+def shrubs(d: SceneDraft) -> None:
     """20 to 60 shrubs of 0.15 to 0.8 m on pile and ground."""
     d.names = ("vegetation", "object", "base_toe", "wall")
     for _ in range(d.rng.integers(20, 60)):
@@ -66,7 +66,7 @@ def shrubs(d: Drawing) -> None:
         grow(d, x, y, np.array([high, high, 0.5 * high]), 0.5 * high, 0.1)
 
 
-def low_shrubs(d: Drawing) -> None:
+def low_shrubs(d: SceneDraft) -> None:
     """Growth of 0.1 to 0.2 m on 20 to 40 % of the ground."""
     d.names = ("vegetation", "object", "base_toe", "base_bends", "base_uneven", "budget")
     high, own, ground = d.rng.uniform(0.1, 0.2), d.pile, d.ground
@@ -80,7 +80,7 @@ def low_shrubs(d: Drawing) -> None:
     d.ground = overgrown
 
 
-def trees(d: Drawing) -> None:
+def trees(d: SceneDraft) -> None:
     """One to four trees with crowns of 1 to 2.5 m around the toe."""
     d.names = ("object", "wall", "further_bodies")
     for _ in range(d.rng.integers(1, 5)):
@@ -90,7 +90,7 @@ def trees(d: Drawing) -> None:
         grow(d, x, y, np.array([r, r, 0.8 * r]), high, 0.2)
 
 
-def cable(d: Drawing) -> None:
+def cable(d: SceneDraft) -> None:
     """A cable of 4 cm hangs 1.5 to 4 m over the crest."""
     d.names = ("object", "wall")
     y, z = d.rng.uniform(-2.0, 2.0), d.pile.height_m + d.rng.uniform(1.5, 4.0)
@@ -98,7 +98,7 @@ def cable(d: Drawing) -> None:
     d.bodies.append(box_mesh(-far, far, y - 0.02, y + 0.02, z, z + 0.04))
 
 
-def people(d: Drawing) -> None:
+def people(d: SceneDraft) -> None:
     """Two to five people stand on the pile and beside it."""
     d.names = ("object", "wall", "further_bodies")
     for _ in range(d.rng.integers(2, 6)):
@@ -106,7 +106,7 @@ def people(d: Drawing) -> None:
         d.bodies.append(box_on(d, x, y, (0.5, 0.4, d.rng.uniform(1.6, 1.9))))
 
 
-def dust(d: Drawing) -> None:
+def dust(d: SceneDraft) -> None:
     """A cloud of dust hangs over a flank."""
     d.names = ("object", "wall", "budget")
     _, x, y = d.on_foot(0.6)
@@ -115,7 +115,7 @@ def dust(d: Drawing) -> None:
     d.bodies.append(leaves(d.rng, centre, radii, int(d.rng.integers(200, 1500)), 0.05))
 
 
-def dozer(d: Drawing) -> None:
+def dozer(d: SceneDraft) -> None:
     """A machine of 4 to 5 m stands on the pile."""
     d.names = ("object", "wall")
     _, x, y = d.on_foot(d.rng.uniform(0.0, 0.7))
@@ -123,7 +123,7 @@ def dozer(d: Drawing) -> None:
     d.bodies.append(box_on(d, x, y, size))
 
 
-def machine_leaves(d: Drawing) -> None:
+def machine_leaves(d: SceneDraft) -> None:
     """A machine stands at the toe in the first half of the flight and is gone in the second."""
     d.names = ("object", "wall", "budget")
     _, x, y = d.on_foot(d.rng.uniform(0.95, 1.1))
@@ -131,21 +131,21 @@ def machine_leaves(d: Drawing) -> None:
     d.flown = dataclasses.replace(d.flown, later_s=d.rng.uniform(0.35, 0.65) * DURATION_S)
 
 
-def fence(d: Drawing) -> None:
+def fence(d: SceneDraft) -> None:
     """A fence of 1.2 to 2 m runs 0.5 to 3 m beside the toe."""
     d.names = ("object", "wall", "further_bodies")
     at, far = d.pile.a + d.rng.uniform(0.5, 3.0), d.pile.b + AROUND_M
     d.bodies.append(box_mesh(at, at + 0.06, -far, far, -0.5, d.rng.uniform(1.2, 2.0)))
 
 
-def conveyor(d: Drawing) -> None:
+def conveyor(d: SceneDraft) -> None:
     """A belt hangs 0.5 to 1.5 m above the crest and leads away."""
     d.names = ("object", "wall", "unseen")
     z, far = d.pile.height_m + d.rng.uniform(0.5, 1.5), d.pile.a + AROUND_M
     d.bodies.append(box_mesh(d.rng.uniform(-1.0, 1.0), far, -0.6, 0.6, z, z + 0.5))
 
 
-def shed(d: Drawing) -> None:
+def shed(d: SceneDraft) -> None:
     """A shed of 3 to 5 m stands 1 to 3 m beside the toe."""
     d.names = ("object", "wall", "further_bodies")
     size = d.rng.uniform(3.0, 5.0)
@@ -153,7 +153,7 @@ def shed(d: Drawing) -> None:
     d.bodies.append(box_on(d, x, d.rng.uniform(-3.0, 3.0), (size, size, d.rng.uniform(2.5, 4.0))))
 
 
-def bank(d: Drawing) -> None:
+def bank(d: SceneDraft) -> None:
     """Beyond the toe the ground rises 1 to 4 m at 25 to 45 degrees."""
     d.names = ("base_toe", "base_bends", "cut", "wall", "further_bodies", "ground_one_sided")
     at, high = d.pile.a * d.rng.uniform(0.95, 1.3), d.rng.uniform(1.0, 4.0)
@@ -161,7 +161,7 @@ def bank(d: Drawing) -> None:
     d.ground = lambda u, v: ground(u, v) + np.clip((u - at) * steep, 0.0, high)
 
 
-def pit_beside(d: Drawing) -> None:
+def pit_beside(d: SceneDraft) -> None:
     """A pit of 3 to 6 m, 0.5 to 1.5 m deep, lies 1 to 2 m beside the toe."""
     d.names = ("base_toe", "base_bends", "below_base")
     r, deep, ground = d.rng.uniform(3.0, 6.0), d.rng.uniform(0.5, 1.5), d.ground
@@ -169,7 +169,7 @@ def pit_beside(d: Drawing) -> None:
     d.ground = lambda u, v: ground(u, v) - np.clip(r - np.hypot(u - at, v), 0.0, deep)
 
 
-def ditch(d: Drawing) -> None:
+def ditch(d: SceneDraft) -> None:
     """A ditch of 1 to 2 m, 0.2 to 0.5 m deep, runs around the toe."""
     d.names = ("base_toe", "base_bends", "below_base")
     wide, deep, own, ground = d.rng.uniform(1.0, 2.0), d.rng.uniform(0.2, 0.5), d.pile, d.ground
@@ -181,21 +181,21 @@ def ditch(d: Drawing) -> None:
     d.ground = dug
 
 
-def ruts(d: Drawing) -> None:
+def ruts(d: SceneDraft) -> None:
     """Ruts of 5 to 15 cm, 2 m apart, run over the ground and under the pile."""
     deep, ground = d.rng.uniform(0.05, 0.15), d.ground
     d.ground = lambda u, v: ground(u, v) - deep * np.clip(2.0 * np.sin(math.pi * u) - 1.0, 0, 1)
     d.names = ("base_toe", "base_bends", "vegetation", "budget")
 
 
-def steep_ground(d: Drawing) -> None:
+def steep_ground(d: SceneDraft) -> None:
     """The ground falls by 8 to 14 degrees."""
     fall, phi = math.tan(math.radians(d.rng.uniform(8.0, 14.0))), d.rng.uniform(0, 2 * math.pi)
     ground = d.ground
     d.ground = lambda u, v: ground(u, v) + fall * (u * math.cos(phi) + v * math.sin(phi))
 
 
-def varied_ground(d: Drawing) -> None:
+def varied_ground(d: SceneDraft) -> None:
     """Nothing is wrong: ground of 1 to 10 cm over 0.5 to 10 m, a third to three times the usual
     number of returns.
     """
@@ -204,7 +204,7 @@ def varied_ground(d: Drawing) -> None:
     d.flown = dataclasses.replace(d.flown, thin=round(10.0 * 3.0 ** d.rng.uniform(-1.0, 1.0)))
 
 
-def puddles(d: Drawing) -> None:
+def puddles(d: SceneDraft) -> None:
     """Water stands in 3 to 8 puddles of 2 to 5 m, some at the toe: no returns."""
     d.names = ("unseen", "ground_one_sided")
     for _ in range(d.rng.integers(3, 9)):
@@ -212,7 +212,7 @@ def puddles(d: Drawing) -> None:
         d.holes.append(rectangle(x, y, d.rng.uniform(2.0, 5.0), d.rng.uniform(2.0, 5.0)))
 
 
-def thin_toe(d: Drawing) -> None:
+def thin_toe(d: SceneDraft) -> None:
     """The pile runs out in a toe that thins with the square of the distance; nothing is set."""
     d.names = ("base_toe", "base_bends", "thin_toe", "cut")
     d.pile = ThinPile(d.pile.a, d.pile.b, 0.0, d.pile.steep)
@@ -235,7 +235,7 @@ class ThinPile(Pile):
         return out
 
 
-def flat_top_shadow(d: Drawing) -> None:
+def flat_top_shadow(d: SceneDraft) -> None:
     """One pass beside a pile with a flat top: what lies behind its edge is in shadow."""
     d.names = ("unseen", "ground_one_sided", "cut")
     d.pile = Pile(d.pile.a, d.pile.b, d.rng.uniform(0.4, 0.6), d.pile.steep)
@@ -259,14 +259,14 @@ def one_pass(long: float, aside: float, high: float) -> Platform:
     return dataclasses.replace(along, name="pass", position=position, angles=angles)
 
 
-def large_footprints(d: Drawing) -> None:
+def large_footprints(d: SceneDraft) -> None:
     """Footprints of 10 to 18 cm where the budget says 4 cm, and a third of the returns."""
     d.names = ("budget", "unseen", "vegetation")
     d.drawn = dataclasses.replace(d.drawn, beam_divergence_rad=d.rng.uniform(0.004, 0.007))
     d.flown = dataclasses.replace(d.flown, thin=30)
 
 
-def gnss_jump(d: Drawing) -> None:
+def gnss_jump(d: SceneDraft) -> None:
     """Fixes are off by 8 to 25 cm from a moment of the flight on."""
     d.names = ("budget", "passes_shifted")
     e, n, u = d.rng.normal(0.0, 1.0, 3)
@@ -278,13 +278,13 @@ def gnss_jump(d: Drawing) -> None:
     )
 
 
-def wrong_clock(d: Drawing) -> None:
+def wrong_clock(d: SceneDraft) -> None:
     """The clocks are 20 to 60 ms apart."""
     d.names = ("budget",)
     d.drawn = dataclasses.replace(d.drawn, clock_sigma_s=d.rng.uniform(0.02, 0.06))
 
 
-def lever_above_level(d: Drawing) -> None:
+def lever_above_level(d: SceneDraft) -> None:
     """The antenna sits 10 to 25 cm lower or higher than stated, and the volume is above a level."""
     d.names = ("base_level", "cut", "budget")
     d.ground = Ground(0.0, (0.0, 0.0), 0.01, 1.0, int(d.rng.integers(1 << 30)))
@@ -293,19 +293,19 @@ def lever_above_level(d: Drawing) -> None:
     d.flown = dataclasses.replace(d.flown, jump_s=-10.0, jump_m=(0.0, 0.0, off))
 
 
-def float_spans(d: Drawing) -> None:
+def float_spans(d: SceneDraft) -> None:
     """The receiver has a float fix for a third of the flight, and says so."""
     first = d.rng.uniform(0.1, 0.6) * DURATION_S
     d.flown = dataclasses.replace(d.flown, floats_s=((first, first + DURATION_S / 3.0),))
 
 
-def rain(d: Drawing) -> None:
+def rain(d: SceneDraft) -> None:
     """Half to four fifths of the returns are lost."""
     d.names = ("unseen",)
     d.flown = dataclasses.replace(d.flown, dropout_share=d.rng.uniform(0.5, 0.8))
 
 
-FURTHER: tuple[Callable[[Drawing], Any], ...] = (
+FURTHER: tuple[Callable[[SceneDraft], Any], ...] = (
     shrubs,
     low_shrubs,
     trees,

@@ -13,11 +13,11 @@ from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation import troubled_scenes as first
 from ladar_volume.simulation.further_troubles import FURTHER
 from ladar_volume.simulation.survey import EPOCH_NS, Fixes, Survey, Sweep
-from ladar_volume.simulation.troubled_scenes import DURATION_S, Drawing, Flown, Trouble
+from ladar_volume.simulation.troubled_scenes import DURATION_S, FlightTrouble, SceneDraft, Trouble
 
 #: Share of returns that mix two surfaces.
 MIXED = 0.05
-KINDS: dict[str, Callable[[Drawing], None]] = {
+KINDS: dict[str, Callable[[SceneDraft], None]] = {
     made.__name__: made
     for made in (
         first.clean,
@@ -49,7 +49,7 @@ def make_trouble(kind: str, seed: int) -> Trouble:
     """A random survey of a kind. Raises SimulationError for an unknown kind."""
     if kind not in KINDS:
         raise SimulationError(f"no trouble {kind!r}; there are {', '.join(KINDS)}", value=kind)
-    drawing = Drawing(seed, kind)
+    drawing = SceneDraft(seed, kind)
     KINDS[kind](drawing)
     return drawing.trouble()
 
@@ -58,7 +58,7 @@ def make_trouble(kind: str, seed: int) -> Trouble:
 class TroubledSurvey(Survey):
     """A survey on whose flight something happens."""
 
-    flown: Flown = field(default_factory=Flown)
+    flown: FlightTrouble = field(default_factory=FlightTrouble)
 
     @classmethod
     def of(cls, trouble: Trouble, seed: int) -> TroubledSurvey:

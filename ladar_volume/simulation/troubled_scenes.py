@@ -33,7 +33,7 @@ DURATION_S = 36.0
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlightTrouble:
     """What happens on a flight. thin : every so many firing cycles are kept · dropout_share : of
     the returns · floats_s : spans of a float fix · jump_s, jump_m : from when on fixes are off by
     how much · later_s, later : from when on the scene is another
@@ -62,7 +62,7 @@ class Trouble:
     settings: Settings
     names: tuple[str, ...]
     drawn: BudgetParameters = field(default_factory=BudgetParameters)
-    flown: Flown = field(default_factory=lambda: Flown())
+    flown: FlightTrouble = field(default_factory=lambda: FlightTrouble())
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def remove_rectangle(mesh: tuple[F64, npt.NDArray[np.int32]], box: tuple[float, 
     return vertices, triangles[~hit]
 
 
-class Drawing:
+class SceneDraft:
     """One random pile on its ground, to which a kind of trouble adds its own."""
 
     def __init__(self, seed: int, kind: str) -> None:
@@ -142,7 +142,7 @@ class Drawing:
         self.holes: list[tuple[float, ...]] = []
         self.bodies: list[Any] = []
         self.names: tuple[str, ...] = ()
-        self.flown = Flown()
+        self.flown = FlightTrouble()
         self.flight: Platform | None = None
         self.leaving: list[Any] = []
 
@@ -179,11 +179,11 @@ def rectangle(x: float, y: float, long: float, wide: float) -> tuple[float, floa
     return (x - long / 2, x + long / 2, y - wide / 2, y + wide / 2)
 
 
-def clean(d: Drawing) -> None:
+def clean(d: SceneDraft) -> None:
     """Nothing is wrong."""
 
 
-def crest_hole(d: Drawing) -> None:
+def crest_hole(d: SceneDraft) -> None:
     """No returns on 2 to 6 m of the crest."""
     d.names = ("unseen",)
     size = d.rng.uniform(2.0, 6.0)
@@ -191,7 +191,7 @@ def crest_hole(d: Drawing) -> None:
     d.holes.append(rectangle(x, y, size, size))
 
 
-def top_hole(d: Drawing) -> None:
+def top_hole(d: SceneDraft) -> None:
     """No returns on much of the top."""
     d.names = ("unseen",)
     d.holes.append(
@@ -199,7 +199,7 @@ def top_hole(d: Drawing) -> None:
     )
 
 
-def flank_hole(d: Drawing) -> None:
+def flank_hole(d: SceneDraft) -> None:
     """No returns on 2 to 5 m of a flank."""
     d.names = ("unseen",)
     size = d.rng.uniform(2.0, 5.0)
@@ -207,7 +207,7 @@ def flank_hole(d: Drawing) -> None:
     d.holes.append(rectangle(x, y, size, size))
 
 
-def toe_hole(d: Drawing) -> None:
+def toe_hole(d: SceneDraft) -> None:
     """No returns on 4 to 7 m across the toe."""
     d.names = ("unseen",)
     size = d.rng.uniform(4.0, 7.0)
@@ -215,7 +215,7 @@ def toe_hole(d: Drawing) -> None:
     d.holes.append(rectangle(x, y, size, size))
 
 
-def open_hole(d: Drawing) -> None:
+def open_hole(d: SceneDraft) -> None:
     """No returns on a strip from a flank to the edge of the survey."""
     d.names = ("unseen", "ground_one_sided", "cut")
     wide = d.rng.uniform(3.0, 8.0)
@@ -223,26 +223,26 @@ def open_hole(d: Drawing) -> None:
     d.holes.append((d.pile.a * d.rng.uniform(0.5, 0.9), far, -wide / 2, wide / 2))
 
 
-def region_cut(d: Drawing) -> None:
+def region_cut(d: SceneDraft) -> None:
     """The region ends on the pile."""
     d.names = ("cut",)
     d.region[3] = d.pile.a * d.rng.uniform(0.1, 0.8)
 
 
-def region_toe(d: Drawing) -> None:
+def region_toe(d: SceneDraft) -> None:
     """The region ends just at the toe."""
     d.names = ("cut", "ground_one_sided")
     d.region[3] = d.pile.a * d.rng.uniform(0.85, 0.98)
 
 
-def one_side(d: Drawing) -> None:
+def one_side(d: SceneDraft) -> None:
     """The survey ends on the crest: the other side was not flown."""
     d.names = ("cut", "unseen", "ground_one_sided")
     far = d.pile.a + AROUND_M + BEYOND_M
     d.holes.append((d.rng.uniform(-0.1, 0.3) * d.pile.a, far, -far, far))
 
 
-def two_piles(d: Drawing) -> None:
+def two_piles(d: SceneDraft) -> None:
     """A second pile beside the first, and `bodies: 1`."""
     d.names = ("further_bodies",)
     _, x, y = d.on_foot(1.0)
@@ -262,7 +262,7 @@ def two_piles(d: Drawing) -> None:
     ]
 
 
-def wall(d: Drawing) -> None:
+def wall(d: SceneDraft) -> None:
     """The pile lies against a wall: what is behind it is not there."""
     d.names = ("wall", "cut", "further_bodies")
     at = d.pile.a * d.rng.uniform(0.5, 0.9)
@@ -277,7 +277,7 @@ def wall(d: Drawing) -> None:
     d.ground = lambda u, v: ground(u, v) - np.where(u > at + 0.2, own.height(u, v), 0.0)
 
 
-def pad(d: Drawing) -> None:
+def pad(d: SceneDraft) -> None:
     """The pile stands in a pit stripped 0.2 to 0.5 m deep, 1 to 3 m wider than it."""
     d.names = ("base_toe", "cut")
     deep, wide = d.rng.uniform(0.2, 0.5), d.rng.uniform(1.0, 3.0)
@@ -288,14 +288,14 @@ def pad(d: Drawing) -> None:
     )
 
 
-def hollow(d: Drawing) -> None:
+def hollow(d: SceneDraft) -> None:
     """The ground is a bowl."""
     d.names = ("base_bends", "base_toe")
     bend, ground = d.rng.uniform(0.0005, 0.0015), d.ground
     d.ground = lambda u, v: ground(u, v) + bend * (u * u + v * v)
 
 
-def undulating(d: Drawing) -> None:
+def undulating(d: SceneDraft) -> None:
     """The ground undulates by 3 to 6 cm over 4 to 8 m."""
     d.names = ("base_bends", "base_toe")
     d.ground = Ground(
@@ -307,7 +307,7 @@ def undulating(d: Drawing) -> None:
     )
 
 
-def machine(d: Drawing) -> None:
+def machine(d: SceneDraft) -> None:
     """A machine stands at the toe."""
     d.names = ("wall", "further_bodies")
     _, x, y = d.on_foot(1.05)
@@ -315,7 +315,7 @@ def machine(d: Drawing) -> None:
     d.bodies.append(box_mesh(x0, x1, y0, y1, -0.5, d.rng.uniform(2.0, 3.0)))
 
 
-def grass(d: Drawing) -> None:
+def grass(d: SceneDraft) -> None:
     """Grass of 5 to 10 cm everywhere but under the pile."""
     d.names = ("vegetation",)
     high, own, ground = d.rng.uniform(0.05, 0.10), d.pile, d.ground
@@ -325,14 +325,14 @@ def grass(d: Drawing) -> None:
     )
 
 
-def wrong_attitude(d: Drawing) -> None:
+def wrong_attitude(d: SceneDraft) -> None:
     """The attitude is five times worse than believed."""
     d.names = ("budget",)
     sigma = tuple(5.0 * s for s in d.drawn.attitude_sigma_rad)
     d.drawn = dataclasses.replace(d.drawn, attitude_sigma_rad=sigma)
 
 
-def wrong_beams(d: Drawing) -> None:
+def wrong_beams(d: SceneDraft) -> None:
     """The beams are five times worse than believed."""
     d.names = ("budget",)
     d.drawn = dataclasses.replace(
@@ -342,14 +342,14 @@ def wrong_beams(d: Drawing) -> None:
     )
 
 
-def wrong_position(d: Drawing) -> None:
+def wrong_position(d: SceneDraft) -> None:
     """The position is five times worse than believed, and wanders within 10 s."""
     d.names = ("budget",)
     sigma = tuple(5.0 * s for s in d.drawn.position_sigma_m)
     d.drawn = dataclasses.replace(d.drawn, position_sigma_m=sigma, tau_position_s=10.0)
 
 
-def wrong_boresight(d: Drawing) -> None:
+def wrong_boresight(d: SceneDraft) -> None:
     """The boresight is off by half a degree."""
     d.names = ("budget",)
     d.drawn = dataclasses.replace(d.drawn, boresight_sigma_rad=(math.radians(0.5),) * 3)

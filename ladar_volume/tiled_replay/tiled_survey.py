@@ -18,7 +18,7 @@ from ladar_volume.rmls.tile_filter import TilePatches
 from ladar_volume.tiled_replay.time_pieces import (
     PIECE_S,
     Piece,
-    Recorded,
+    RecordedSurvey,
     all_rings,
     georeference_piece,
     pieces_of,
@@ -112,7 +112,7 @@ class TiledReplay:
         jumps = [reason for reason, _ in engine.losses.items() if reason.endswith("_time_jump")]
         return ", ".join([*(f"the time of {role} goes back" for role in sorted(back)), *jumps])
 
-    def _recorded(self, piece_s: float) -> Recorded:
+    def _recorded(self, piece_s: float) -> RecordedSurvey:
         """What workers need to know, with the datum of all."""
         replay, p = self.replay, self.replay.parameters
         engine = replay.engine
@@ -132,7 +132,7 @@ class TiledReplay:
             datum_longitude_deg=datum.longitude_deg,
             datum_height_m=datum.height_m,
         )
-        return Recorded(
+        return RecordedSurvey(
             replay.bag.path.resolve(),
             None if log is None else log.resolve(),
             replace(p, georeference=own),
@@ -145,34 +145,34 @@ class TiledReplay:
             tuple(poses),
         )
 
-    def _pieces(self, recorded: Recorded, progress: Progress) -> list[Piece]:
+    def _pieces(self, recorded: RecordedSurvey, progress: Progress) -> list[Piece]:
         """All pieces, in order."""
         done = returns = 0
 
-        def told(found: tuple[int, Piece]) -> None:
+        def report(found: tuple[int, Piece]) -> None:
             nonlocal done, returns
             done, returns = done + 1, returns + found[1].returns
             progress("georeferencing", done / len(recorded.clouds), returns)
 
         every = range(len(recorded.clouds))
-        found = results(self.work.workers, partial(georeference_piece, recorded), every, told)
+        found = results(self.work.workers, partial(georeference_piece, recorded), every, report)
         return [piece for _, piece in sorted(found, key=lambda each: each[0])]
 
-    def _tiles(self, recorded: Recorded, pieces: list[Piece], progress: Progress) -> None:
+    def _tiles(self, recorded: RecordedSurvey, pieces: list[Piece], progress: Progress) -> None:
         """Filter all tiles and hand them to the estimator."""
         replay, tasks = self.replay, self._tasks(recorded, pieces)
         rows = {task.tile: task.rows for task in tasks}
         total, done = max(sum(rows.values()), 1), 0
         offered = sum(piece.offered for piece in pieces)
 
-        def told(tile: Tile) -> None:
+        def report(tile: Tile) -> None:
             nonlocal done
             done += rows[tile]
             share = min(done / total, 1.0)
             progress("filtering", share, round(offered * share))
 
         longest = sorted(tasks, key=lambda task: (-task.rows, task.tile))
-        self._mended(recorded, lambda: results(self.work.workers, filter_tile, longest, told))
+        self._mended(recorded, lambda: results(self.work.workers, filter_tile, longest, report))
         counts = dict.fromkeys(("voxels", "kept", "outliers", "unfitted", "patches"), 0)
         newest = max((piece.newest_ns for piece in pieces), default=0)
         for task in tasks:
@@ -194,7 +194,7 @@ class TiledReplay:
             "points_waiting": 0,
         }
 
-    def _tasks(self, recorded: Recorded, pieces: list[Piece]) -> list[TileTask]:
+    def _tasks(self, recorded: RecordedSurvey, pieces: list[Piece]) -> list[TileTask]:
         """The tiles, by name. Raises :class:`ConfigurationError` where one is too large for a
         worker.
         """
@@ -229,7 +229,7 @@ class TiledReplay:
         results(self.work.workers, filter_tile, [task], lambda tile: None)
         return read_patches(task)
 
-    def _mended(self, recorded: Recorded, action: Callable[[], B]) -> B:
+    def _mended(self, recorded: RecordedSurvey, action: Callable[[], B]) -> B:
         """The result of an action that reads what is at rest; what is damaged is made anew, once
         each.
         """

@@ -30,7 +30,7 @@ APART = ("point_pose_timeout", "point_waiting_full", "point_before_restart")
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedSurvey:
     """A recording and what it is replayed with, for workers.
 
     bag, log : paths of the recording and of the autopilot's log · folder : of pieces and tiles ·
@@ -103,7 +103,7 @@ def pieces_of(
     return clouds, [(max(a - before, first), min(b + after, last)) for a, b in clouds]
 
 
-def piece_at_rest(recorded: Recorded, k: int) -> Piece | None:
+def piece_at_rest(recorded: RecordedSurvey, k: int) -> Piece | None:
     """What became of piece k; None where it is not done, or something of it is gone."""
     try:
         kept = json.loads(recorded.notes(k).read_text())
@@ -119,7 +119,7 @@ def piece_at_rest(recorded: Recorded, k: int) -> Piece | None:
     return found if there else None
 
 
-def georeference_piece(recorded: Recorded, k: int) -> tuple[int, Piece]:
+def georeference_piece(recorded: RecordedSurvey, k: int) -> tuple[int, Piece]:
     """Georeference piece k and write its returns to tiles, where that is not done yet. Errors name
     it.
     """
@@ -128,7 +128,7 @@ def georeference_piece(recorded: Recorded, k: int) -> tuple[int, Piece]:
         return k, known
     try:
         with open_recording(recorded.bag) as bag:
-            found = georeferenced(recorded, k, recorded.replay(bag))
+            found = georeference_one(recorded, k, recorded.replay(bag))
     except LadarVolumeError as error:
         first = (recorded.clouds[k][0] - recorded.clouds[0][0]) * 1e-9
         words = f"piece {k} (from {first:.1f} s of the recording): {error}"
@@ -143,7 +143,7 @@ def georeference_piece(recorded: Recorded, k: int) -> tuple[int, Piece]:
 class TileWriter:
     """Takes what a georeferencer has ready and writes it to tiles."""
 
-    def __init__(self, recorded: Recorded, k: int, replay: Replay, piece: Piece) -> None:
+    def __init__(self, recorded: RecordedSurvey, k: int, replay: Replay, piece: Piece) -> None:
         self.stage, self.filter = replay.engine.georeferencer, SurfaceFilter(replay.parameters)
         self._recorded, self._k, self._piece = recorded, k, piece
         self._cap, self._archives = replay.parameters.filter.cap_per_voxel, 0
@@ -173,7 +173,7 @@ class TileWriter:
             self._archives += 1
 
 
-def georeferenced(recorded: Recorded, k: int, replay: Replay) -> Piece:
+def georeference_one(recorded: RecordedSurvey, k: int, replay: Replay) -> Piece:
     """Piece k of what is replayed, its returns written to tiles."""
     out = Piece()
     writer = TileWriter(recorded, k, replay, out)
@@ -206,7 +206,9 @@ def taker(replay: Replay) -> Callable[[Returns], None]:
     return take
 
 
-def why_apart(recorded: Recorded, k: int, losses: dict[str, int], held: int, restarts: int) -> str:
+def why_apart(
+    recorded: RecordedSurvey, k: int, losses: dict[str, int], held: int, restarts: int
+) -> str:
     """Why a piece is not what it is in the whole recording, or nothing."""
     if restarts:
         return "time begins again"

@@ -257,7 +257,7 @@ def sweep_plain(B: F64, weight: F64, residual: F64, heights: F64) -> float:
     return largest
 
 
-def adjust_rms_iterated(
+def adjust_rms_by_iteration(
     tin: Tin,
     points_map: F64,
     max_iterations: int = 100,

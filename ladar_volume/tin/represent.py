@@ -28,14 +28,14 @@ from ladar_volume.tin.elevation_adjustment import (
     Adjustment,
     SurfaceFit,
     adjust_rms,
-    adjust_rms_iterated,
+    adjust_rms_by_iteration,
     fit_of,
     measures,
     raw_gradient,
 )
 from ladar_volume.tin.full_tin import build_tin, part_of
 from ladar_volume.tin.relevant import mark_relevant, with_relevant
-from ladar_volume.tin.sampled_area import SampledArea, sampled_area, within_sampled
+from ladar_volume.tin.sampled_area import SampledArea, sampled_area, triangles_in_sampled_area
 from ladar_volume.tin.window import inside, map_window
 
 #: Variance of least sizes over that of least squares for Gaussian noise, in the limit of many
@@ -146,7 +146,7 @@ def represent(
     """
     check_options(options)
     points = np.asarray(points_map, dtype=np.float64)
-    tin, initial, cropped = triangulate_chosen(points, options, sigma_m)
+    tin, initial, cropped = initial_triangulation(points, options, sigma_m)
     by_area = options.relevant == "sampled"
     tin = with_relevant(
         tin,
@@ -183,11 +183,11 @@ def sampled_only(tin: Tin, points: F64, options: SurfaceParameters) -> tuple[Tin
     else:
         if options.window is not None:
             points = points[inside(points[:, :2], map_window(points[:, :2], options.window))]
-        mask, found = within_sampled(tin, points)
+        mask, found = triangles_in_sampled_area(tin, points)
     return mark_relevant(tin, tin.relevant & mask, "option 'sampled'"), found
 
 
-def triangulate_chosen(
+def initial_triangulation(
     points: F64, options: SurfaceParameters, sigma_m: F64 | None
 ) -> tuple[Tin, int, int]:
     """The triangulation, how many of its vertices are from binning, and how many points lie off the
@@ -271,7 +271,7 @@ def adjust_elevations(
     if options.adjust == "rms":
         return adjust_rms(tin, points, fit=fit)
     if options.adjust == "rms-iterated":
-        return adjust_rms_iterated(
+        return adjust_rms_by_iteration(
             tin, points, options.max_iterations, options.height_tolerance_m, fit=fit
         )
     return adjust_asd(tin, points, fit=fit) if options.adjust == "asd" else None

@@ -208,7 +208,7 @@ def sampled_area(tin: Tin) -> SampledArea:
     )
 
 
-def within_sampled(tin: Tin, points: F64) -> tuple[Bool, SampledArea]:
+def triangles_in_sampled_area(tin: Tin, points: F64) -> tuple[Bool, SampledArea]:
     """Which triangles (m,) of a partial TIN lie where points (n, 3) m sampled, by half of four
     places in each; also that area, with the triangles of the partial TIN that bridge it.
     """

@@ -282,14 +282,14 @@ def lines_of_epochs(
     order with the ``boresight``'s; and all that is of second order.
     """
     lines: dict[str, float] = {}
-    bent = {"boresight_second_order": boresight}
+    second_orders = {"boresight_second_order": boresight}
     for epoch, s, end in epochs:
         own = own_lines(epoch, s)
         lines.update({f"{name}{end}": value for name, value in own.items()})
-        bent[f"attitude_second_order{end}"] = attitude_second_order(
+        second_orders[f"attitude_second_order{end}"] = attitude_second_order(
             s.swing, epoch.sources.parameters.budget, own["attitude"]
         )
-    second_lines, all_second = combine_second_orders(bent)
+    second_lines, all_second = combine_second_orders(second_orders)
     return {**lines, **second_lines}, all_second
 
 

@@ -203,8 +203,8 @@ def pass_agreement(
     predicted = math.sqrt(noise + shared)
     refuted = p < REFUTED and factor > LEAST
     sources = source_agreement(part, left, span_s, b)
-    bent = beside_steep_faces(patches.centre, patches.normal)[found.rows]
-    shift, toward = sideways_shift(found.of(~bent), patches.normal)
+    steep = beside_steep_faces(patches.centre, patches.normal)[found.rows]
+    shift, toward = sideways_shift(found.of(~steep), patches.normal)
     return Agreement(
         math.sqrt(square), predicted, factor, n, p, refuted, sources, shift, math.degrees(toward)
     )

@@ -128,7 +128,7 @@ class Sources:
         """
         C_b = self.C_cal[BORESIGHT, BORESIGHT]
         navigation = navigation_variance(s.navigation, self.parameters.budget)
-        bent, second = combine_second_orders(
+        second_order_lines, second = combine_second_orders(
             {
                 "boresight_second_order": second_order(
                     s.curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT])
@@ -143,7 +143,7 @@ class Sources:
             "noise_tangential": s.tangential_m6,
             **calibration_variance(s.J_cal, self.C_cal),
             **navigation,
-            **bent,
+            **second_order_lines,
             "base_surface": base_surface_m6,
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]

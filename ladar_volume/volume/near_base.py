@@ -195,8 +195,8 @@ def near_base(
         found[some] = moments(*at)
     cut, net = _loads(h, t, area, near, found[:, 1:4])
     cut[own] -= smooth.adjoint(load(found[:, 4:7], close_area, close, len(own)))
-    bent = close_area[:, None] * found[:, 7:]
-    curved = second_order(bent, close, smooth.start, smooth.link, C_own)
+    curvature = close_area[:, None] * found[:, 7:]
+    curved = second_order(curvature, close, smooth.start, smooth.link, C_own)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
     variances = first[0] + curved, first[1] + curved, first[2], curved
     left = remaining_fold(smooth, close, close_area, rings)

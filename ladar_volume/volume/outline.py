@@ -78,7 +78,7 @@ def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     if not some.any():
         return some
     out = np.asarray(
-        vertices_reached(
+        reached_vertices(
             tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9)
         )
     )
@@ -96,7 +96,7 @@ def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
 
 
 @kernel
-def vertices_reached(
+def reached_vertices(
     triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance_m: float
 ) -> Bool:
     """Vertices (n,) that lie within a distance, horizontally, of one of ``some`` (n,), as far as

@@ -229,7 +229,7 @@ def chunk_kernel(chunk: int, stop: int, state: I64, pair: Overlaid, into: Integr
 
 
 @kernel
-def add_kept(state: I64, ids: I64, rows: F64, back: F64) -> None:
+def add_kept_pieces(state: I64, ids: I64, rows: F64, back: F64) -> None:
     """Adds the kept pieces to the triangles (k, 2, 4) of the other surface."""
     for chunk in range(len(ids)):
         for i in range(state[chunk, 3]):
@@ -266,7 +266,7 @@ def overlay_kernel(
         for chunk in numba.prange(CHUNKS):
             chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, pair, into)
         if both:
-            add_kept(state, ids, rows, back)
+            add_kept_pieces(state, ids, rows, back)
         left = 0
         for chunk in range(CHUNKS):
             left += 1 if state[chunk, 0] < (chunk + 1) * m // CHUNKS else 0

@@ -46,7 +46,7 @@ def test_experiment_four_against_rays(rms):
         frame.points(a.points[e.subsets(a, 2, 0)[0]]),
         frame.points(b.points[e.subsets(b, 2, 1)[0]]),
     )
-    own = e.directed(e.both(points, (3000, 3000))[rms])
+    own = e.compare_methods(e.both(points, (3000, 3000))[rms])
     vertices, rng = [vertices_of(p, 3000) for p in points], np.random.default_rng(5)
     for pairs, difference in ((own.one, fill_difference), (own.two, cut_difference)):
         rays, error = difference(vertices, points, pairs.level_with_m[-1], rms, STEP_M, rng)

@@ -76,10 +76,10 @@ def test_two_cubes_on_the_ground(cloud, tmp_path, capsys):
     assert facts["uncorrected_m3"] < facts["volume_m3"] and facts["ground"]["points"] > 1000
     assert np.sqrt(np.sum(facts["covariance_m6"])) == pytest.approx(facts["sigma_m3"])
     # the verb reads what it wrote; curvature needs the normals, which a mesh file has not
-    bent = sum(b["curvature_m3"] for b in facts["bodies"])
+    curvature = sum(b["curvature_m3"] for b in facts["bodies"])
     for name in ("again.ply", "again.stl"):
         again = answer(capsys, out, "-o", tmp_path / name)
-        assert again["volume_m3"] == pytest.approx(facts["volume_m3"] - bent, rel=1e-6)
+        assert again["volume_m3"] == pytest.approx(facts["volume_m3"] - curvature, rel=1e-6)
         assert again["watertight"] and len(again["bodies"][0]["closures"]) == 0
         out = tmp_path / name
     out = tmp_path / "bodies.ply"

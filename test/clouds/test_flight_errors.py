@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.clouds.survey.flight_errors import FlightErrors, covered, vertex_slopes
+from ladar_volume.clouds.survey.flight_errors import FlightErrors, is_covered, vertex_slopes
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import PlatformStates
@@ -133,7 +133,7 @@ def test_points_outside_the_trajectory_do_not_count():
     slope, gradient = np.zeros((len(r), 2)), np.ones((len(r), 1))
     late = errors.t_ns.copy()
     late[::2] += 1_000_000_000_000
-    assert np.array_equal(covered(errors.states, late), np.arange(len(r)) % 2 == 1)
+    assert np.array_equal(is_covered(errors.states, late), np.arange(len(r)) % 2 == 1)
     ring, navigation = errors.ring, errors.navigation
     some = FlightErrors(errors.states, P, errors.mount, late, ring, navigation)
     half = errors.of_rows(np.arange(1, len(r), 2))

@@ -31,17 +31,22 @@ from ladar_volume.experiments.coverage.coverage_cases import (
     at_vertex_level,
     believed_parameters,
     by_source,
-    measured,
+    measure_survey,
     net_volumes,
-    scaled,
+    scale_budget,
     truth,
 )
-from ladar_volume.experiments.coverage.coverage_engine import measured_by_engine
-from ladar_volume.experiments.coverage.coverage_flight import DURATION_S, hits_of, pulses_of, turned
+from ladar_volume.experiments.coverage.coverage_engine import measure_by_engine
+from ladar_volume.experiments.coverage.coverage_flight import (
+    DURATION_S,
+    hits_of,
+    pulses_of,
+    rotation_of_angles,
+)
 from ladar_volume.experiments.coverage.coverage_scene import FIELDS, level_truth, march
 from ladar_volume.experiments.coverage.coverage_survey import (
     SOURCES,
-    Drawn,
+    SurveyErrors,
     fly,
     nominal,
     platform_states,
@@ -112,7 +117,7 @@ def test_pulses_left_out_would_not_have_hit(monkeypatch):
 def test_kernels_of_a_flight_by_other_formulas():
     rng = np.random.default_rng(4)
     angles = rng.uniform(-3.0, 3.0, (50, 3))
-    assert turned(angles).as_matrix() == pytest.approx(
+    assert rotation_of_angles(angles).as_matrix() == pytest.approx(
         Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
     )
     keep, steps = rng.uniform(0.5, 1.0, 20), rng.standard_normal((20, 3))
@@ -216,7 +221,7 @@ def test_the_gradient_of_a_closed_box_is_that_of_its_volume():
 
 
 def test_a_closed_box_with_all_sources():
-    row = measured(SITES["box"], *VARIANTS["all"], 11)[CLOSED]
+    row = measure_survey(SITES["box"], *VARIANTS["all"], 11)[CLOSED]
     assert abs(row.error_m3) < 4.0 * row.sigma_m3
     assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
     assert (
@@ -251,7 +256,7 @@ def test_budgets_of_the_variants():
         without(DEFAULT).position_sigma_m == (0.0, 0.0, 0.0)
         and without(DEFAULT, "clock").clock_sigma_s == DEFAULT.clock_sigma_s
     )
-    larger = scaled(DEFAULT, sigmas=1.3, tau=3.0)
+    larger = scale_budget(DEFAULT, sigmas=1.3, tau=3.0)
     assert larger.boresight_sigma_rad == pytest.approx(
         [1.3 * v for v in DEFAULT.boresight_sigma_rad]
     )
@@ -265,7 +270,7 @@ def test_budgets_of_the_variants():
 def test_the_believed_covariance_is_that_of_the_georeferencing():
     site = SITES["stockpile_100"]
     mount = mounting(nominal(uav(*site.flight_m, DURATION_S)))
-    states = platform_states(site, Drawn.draw(DEFAULT, 1, 1), mount, DEFAULT)
+    states = platform_states(site, SurveyErrors.draw(DEFAULT, 1, 1), mount, DEFAULT)
     for k in (0, 700, 1500):
         assert states.C_nav[k, 3:, 3:] == pytest.approx(
             attitude_covariance_from_euler(states.q_map_body[k], DEFAULT.attitude_sigma_rad)
@@ -273,7 +278,7 @@ def test_the_believed_covariance_is_that_of_the_georeferencing():
 
 
 def test_one_instrument_flies_twice():
-    one, two, other = (Drawn.draw(DEFAULT, i, f) for i, f in ((1, 5), (1, 6), (2, 5)))
+    one, two, other = (SurveyErrors.draw(DEFAULT, i, f) for i, f in ((1, 5), (1, 6), (2, 5)))
     assert np.array_equal(one.boresight, two.boresight) and not np.array_equal(
         one.boresight, other.boresight
     )
@@ -307,7 +312,7 @@ def test_a_common_height_bias_needs_a_design_level_to_matter():
 
 @pytest.mark.parametrize("site", [SMALL, PIT], ids=["stockpile", "pit"])
 def test_a_survey_is_repeatable_and_its_budget_adds_up(site):
-    one, two = (measured(site, *VARIANTS["all"], 11) for _ in range(2))
+    one, two = (measure_survey(site, *VARIANTS["all"], 11) for _ in range(2))
     assert one == two
     for row in one.values():
         assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
@@ -318,14 +323,14 @@ def test_a_survey_is_repeatable_and_its_budget_adds_up(site):
 @pytest.mark.parametrize("site", [SMALL, PIT], ids=["stockpile", "pit"])
 def test_the_volume_alone_is_that_with_a_budget(site):
     alone_m3 = net_volumes(site, DEFAULT, 12)
-    for base, row in measured(site, *VARIANTS["all"], 12).items():
+    for base, row in measure_survey(site, *VARIANTS["all"], 12).items():
         assert alone_m3[base] - truth(site, base, 12) == pytest.approx(row.error_m3, abs=1e-9)
 
 
 def test_each_source_alone():
     found = alone(PIT, 4)["two epochs"]
     assert set(found) == set(SOURCES)
-    printed = measured(PIT, *VARIANTS["all"], 4)["two epochs"].budget_m6
+    printed = measure_survey(PIT, *VARIANTS["all"], 4)["two epochs"].budget_m6
     for line, changed in found.items():
         assert len(set(changed)) == (1 if line == "noise" else 2)  # over another ground
         assert np.abs(changed).max() < 8.0 * math.sqrt(printed[line]) + 1e-3 * abs(PIT.volume_m3), (
@@ -424,7 +429,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     coverage.run(todo, path, 1, told.append)
     assert told == [0, 1, 2, 3, 4, *range(3, len(todo) + 1)]
     rows = coverage.read_rows(path)
-    assert coverage.done(rows) == set(todo) and len(rows) == len(todo)
+    assert coverage.finished_tasks(rows) == set(todo) and len(rows) == len(todo)
     old = [
         {**json.loads(json.dumps(rows[0])), **other}
         for other in ({"version": "0.0"}, {"method": 1})
@@ -440,7 +445,7 @@ def test_a_survey_that_is_refused_is_counted(monkeypatch):
     def measured_but(site, drawn, believed, seed):
         if seed % 2:
             raise SurfaceError("a gap", reason="closing_gap")
-        return measured(site, drawn, believed, seed)
+        return measure_survey(site, drawn, believed, seed)
 
     monkeypatch.setitem(SITES, "pit", dataclasses.replace(PIT, pulses=500))
     monkeypatch.setattr(coverage, "measured", measured_but)
@@ -520,7 +525,7 @@ def test_what_is_terminated_leaves_no_process(tmp_path):
 
 
 def test_a_survey_from_messages_through_the_engine():
-    found = measured_by_engine("stockpile_100", 80_000, thin=60)
+    found = measure_by_engine("stockpile_100", 80_000, thin=60)
     for row in found.values():
         assert abs(row.error_m3) < 5.0 * row.sigma_m3
         assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
@@ -534,7 +539,7 @@ def test_a_survey_from_messages_through_the_engine():
 
 
 def test_a_pit_from_messages_through_the_engine():
-    (row,) = measured_by_engine("pit", 80_000, thin=60).values()
+    (row,) = measure_by_engine("pit", 80_000, thin=60).values()
     assert abs(row.error_m3) < 5.0 * row.sigma_m3
     assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
     # each flight has its own instrument: what both lift alike does not cancel
@@ -545,7 +550,7 @@ def test_a_pit_from_messages_through_the_engine():
 
 
 def test_a_box_from_messages_through_the_engine():
-    (row,) = measured_by_engine("box", 80_000).values()
+    (row,) = measure_by_engine("box", 80_000).values()
     assert abs(row.error_m3) < 4.0 * row.sigma_m3 < 0.02 * BOX.volume_m3
     assert (
         sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)

@@ -175,7 +175,7 @@ def test_volumes_over_two_footprints_follow_their_difference():
     frame = nist_experiments.scan_frame(b)
     assert frame_along(np.array([0, 0, -1.0])).R_frame_map[2] == pytest.approx([0, 0, 1])
     turned = frame.points(a.points), frame.points(b.points)
-    d = nist_experiments.directed(nist_experiments.both(turned, (1200, 1200))[0])
+    d = nist_experiments.compare_methods(nist_experiments.both(turned, (1200, 1200))[0])
     difference = d.two.areas_m2[0] - d.two.areas_m2[1]
     assert d.two.slope_m2 == pytest.approx(-difference, rel=1e-6)
     assert len(d.one.volume_m3) == len(d.two.volume_m3) == nist_experiments.LEVELS
@@ -185,7 +185,9 @@ def test_exchanges_end_on_walls_rounded_to_millimetres():
     # points of a vertical wall on a lattice: slivers whose heights rounding decides
     for seed in range(3):
         points = pair(3, seed)[0].points
-        tin = nist_experiments.adjusted(points, nist_experiments.adaptive(points, 2500).tin)
+        tin = nist_experiments.adjust_elevations(
+            points, nist_experiments.adaptive(points, 2500).tin
+        )
         for measure in ("asd", "rms"):
             e = exchange_diagonals(tin, points, measure)
             assert (e.asd_m if measure == "asd" else e.rms_m) <= (

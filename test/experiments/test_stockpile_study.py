@@ -23,7 +23,7 @@ from ladar_volume.experiments.stockpile import (
     READINGS,
     SOURCES,
     Cone,
-    Tolerated,
+    ToleranceRule,
     alone,
     point_sigmas,
     position_sigmas,
@@ -134,10 +134,10 @@ def test_equations_5_and_6_and_the_rule_for_any_pile(capsys):
     assert facts["rule"]["needed_height_m"] == pytest.approx(height, rel=1e-9)
     for at in next(iter(facts["rule"]["readings"].values())):
         assert at["holds"] == (at["sigma_z_m"] <= height)
-        least = Tolerated(Cone(at["smallest_m3"], math.radians(40.0)), 0.02)
+        least = ToleranceRule(Cone(at["smallest_m3"], math.radians(40.0)), 0.02)
         assert least.needed_m[1] == pytest.approx(at["sigma_z_m"], rel=1e-9)
     assert "| width | 0.086 |" in tables()
-    assert "| width |  |" in tables(Tolerated(Cone(2500.0, 0.7), 0.02))
+    assert "| width |  |" in tables(ToleranceRule(Cone(2500.0, 0.7), 0.02))
     for wrong in (["--volume", "0"], ["--repose", "90"], ["--share", "1"]):
         assert cli.main(["study", "stockpile", *wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1

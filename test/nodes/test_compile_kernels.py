@@ -49,7 +49,7 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
 def test_a_first_start_tells_how_far_the_compiler_is(tmp_path):
     code = """if True:
     import numba, sys, time
-    from ladar_volume.nodes.watch.first_start import compiling_told
+    from ladar_volume.nodes.watch.first_start import compilation_reports
     from ladar_volume.process.kernel_cache import keep
 
     def of(n):
@@ -58,13 +58,13 @@ def test_a_first_start_tells_how_far_the_compiler_is(tmp_path):
         return kernel
 
     said = []
-    with compiling_told(said.append, 0.01):
+    with compilation_reports(said.append, 0.01):
         print(of(1)(2))
         while not said:
             time.sleep(0.01)
     print(said[-1])
     said.clear()
-    with compiling_told(said.append, 0.01):  # nothing is compiled: nothing is told
+    with compilation_reports(said.append, 0.01):  # nothing is compiled: nothing is told
         time.sleep(0.05)
     print(said)
     """

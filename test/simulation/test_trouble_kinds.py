@@ -9,7 +9,7 @@ from ladar_volume.model.errors import SimulationError
 from ladar_volume.simulation.further_troubles import ThinPile, leaves
 from ladar_volume.simulation.survey import EPOCH_NS
 from ladar_volume.simulation.trouble_kinds import KINDS, TroubledSurvey, make_trouble
-from ladar_volume.simulation.troubled_scenes import Drawing, Pile
+from ladar_volume.simulation.troubled_scenes import Pile, SceneDraft
 
 #: Kinds in which nothing is wrong.
 FINE = {"clean", "steep_ground", "varied_ground", "float_spans"}
@@ -17,7 +17,7 @@ FINE = {"clean", "steep_ground", "varied_ground", "float_spans"}
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_kind_names_what_tells_of_it_and_keeps_an_exact_volume(kind):
-    d = Drawing(3, kind)
+    d = SceneDraft(3, kind)
     KINDS[kind](d)
     assert bool(d.names) == (kind not in FINE)
     u = np.linspace(-1.0, 1.0, 401)

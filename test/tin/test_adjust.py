@@ -18,7 +18,7 @@ from ladar_volume.tin.asd_adjustment import adjust_asd, adjust_asd_exact
 from ladar_volume.tin.elevation_adjustment import (
     Normal,
     adjust_rms,
-    adjust_rms_iterated,
+    adjust_rms_by_iteration,
     fit_of,
     measures,
     raw_gradient,
@@ -50,7 +50,7 @@ def test_direct_equals_dense_least_squares_and_the_iteration_agrees():
     tin = partial(points)
     direct = adjust_rms(tin, points)
     assert direct.tin.vertices[:, 2] == pytest.approx(dense_solution(tin, points), abs=1e-9)
-    swept = adjust_rms_iterated(tin, points, 2000, 1e-13)
+    swept = adjust_rms_by_iteration(tin, points, 2000, 1e-13)
     assert swept.converged and swept.tin.vertices[:, 2] == pytest.approx(
         direct.tin.vertices[:, 2], abs=1e-9
     )
@@ -71,11 +71,11 @@ def test_direct_equals_dense_least_squares_and_the_iteration_agrees():
 def test_the_two_stopping_rules():
     points = cloud(seed=1)
     tin = partial(points)
-    few = adjust_rms_iterated(tin, points, 3, 1e-13)
+    few = adjust_rms_by_iteration(tin, points, 3, 1e-13)
     assert few.iterations == 3 and not few.converged
-    loose = adjust_rms_iterated(tin, points, 1000, 1e-3)
+    loose = adjust_rms_by_iteration(tin, points, 1000, 1e-3)
     assert loose.converged and loose.iterations < 1000
-    rms = [adjust_rms_iterated(tin, points, k, 0.0).rms_m for k in range(6)]
+    rms = [adjust_rms_by_iteration(tin, points, k, 0.0).rms_m for k in range(6)]
     assert rms[0] == adjust_rms(tin, points).rms_before_m
     assert (
         all(b <= a for a, b in itertools.pairwise(rms)) and rms[-1] >= adjust_rms(tin, points).rms_m
@@ -134,7 +134,12 @@ def test_least_sizes_with_sigmas():
 
 @pytest.mark.parametrize(
     "method",
-    [adjust_rms, lambda t, p: adjust_rms_iterated(t, p, 3000, 1e-13), adjust_asd, adjust_asd_exact],
+    [
+        adjust_rms,
+        lambda t, p: adjust_rms_by_iteration(t, p, 3000, 1e-13),
+        adjust_asd,
+        adjust_asd_exact,
+    ],
 )
 def test_a_plane_is_found_from_wrong_heights_and_kept(method):
     points = cloud(seed=7)
@@ -170,7 +175,7 @@ def test_vertices_without_data_keep_their_heights():
     assert untouched.any()
     for method in (
         adjust_rms,
-        lambda t, p: adjust_rms_iterated(t, p, 50),
+        lambda t, p: adjust_rms_by_iteration(t, p, 50),
         adjust_asd,
         adjust_asd_exact,
     ):
@@ -290,7 +295,7 @@ def test_bad_stopping_rules():
     points = cloud()
     for arguments in ((-1, 1e-3), (10, -1.0), (10, np.nan)):
         with pytest.raises(SurfaceError) as caught:
-            adjust_rms_iterated(partial(points), points, *arguments)
+            adjust_rms_by_iteration(partial(points), points, *arguments)
         assert caught.value.reason == "surface_tolerance"
 
 

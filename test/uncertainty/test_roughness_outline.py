@@ -35,8 +35,8 @@ from ladar_volume.volume.outline import (
     boundary_loop,
     components,
     fill_holes,
+    reached_vertices,
     surroundings,
-    vertices_reached,
     vertices_within,
     widen_body,
 )
@@ -414,7 +414,7 @@ def test_vertices_within_a_distance_of_some(distance):
         apart = np.linalg.norm(tin.vertices[:, None, :2] - tin.vertices[None, some, :2], axis=2)
         expected = (apart <= distance).any(axis=1)
         assert np.array_equal(vertices_within(tin, mask, distance), expected)
-        found = vertices_reached(tin.triangles, tin.neighbours, tin.vertices, some, distance)
+        found = reached_vertices(tin.triangles, tin.neighbours, tin.vertices, some, distance)
         assert not (found & ~expected).any() and found.sum() >= 0.9 * expected.sum()
 
 

@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.experiments.coverage.coverage_survey import Flown, vertices
+from ladar_volume.experiments.coverage.coverage_survey import MappedSurvey, vertices
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.model.parameters import (
     BudgetParameters,
@@ -275,7 +275,7 @@ def by_package(points, normal, t, ring, volume):
     )
     estimator = VolumeEstimator(P)
     estimator.add_platform(states)
-    estimator.add(vertices(Flown(mapped, lambda: states, mount, normal), P))
+    estimator.add(vertices(MappedSurvey(mapped, lambda: states, mount, normal), P))
     return estimator.estimate()
 
 

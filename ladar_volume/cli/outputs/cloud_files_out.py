@@ -20,7 +20,7 @@ from ladar_volume.io.export.deliverable import (
     file_facts,
     rows_of,
 )
-from ladar_volume.io.export.export_set import ExportRequest, Written, write_export
+from ladar_volume.io.export.export_set import ExportedFiles, ExportRequest, write_export
 from ladar_volume.io.export.output_system import OutputSystem, plain_words, system_of_cloud
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64, Bool, Plane
@@ -71,7 +71,7 @@ def write_files(
     wanted: ExportRequest,
     sources: Sequence[Source],
     result: ExportableResult,
-) -> Written:
+) -> ExportedFiles:
     """Write the files. Raises OutputError."""
     system = system_of_files(arguments, sources)
     return write_export(arguments.output, deliverable(wanted, sources, result, system), wanted)

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ladar_volume.cli.arguments.lines import shown_name
-from ladar_volume.io.export.export_set import ExportRequest, Written, check_packages
+from ladar_volume.io.export.export_set import ExportedFiles, ExportRequest, check_packages
 from ladar_volume.io.export.formats import formats_of
 from ladar_volume.io.results import SURVEY_FILES
 from ladar_volume.model.errors import ConfigurationError, OutputError
@@ -41,7 +41,7 @@ def checked_choice(arguments: argparse.Namespace) -> ExportRequest:
     return ExportRequest(formats, a.cell, a.contour_interval)
 
 
-def show_written(console: Console, folder: Path, written: Written) -> None:
+def show_written(console: Console, folder: Path, written: ExportedFiles) -> None:
     """Print which files there are now."""
     for note in written.notes:
         console.print(note, markup=False)

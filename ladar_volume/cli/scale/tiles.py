@@ -74,14 +74,14 @@ def task_of(a: argparse.Namespace) -> tuple[TileTask, Parameters]:
 
 
 def shares(progress: Progress) -> Callable[[str, int, int], None]:
-    """Progress told in points of a stage."""
+    """Progress in points of a stage."""
     done: dict[str, int] = {}
 
-    def told(stage: str, total: int, more: int) -> None:
+    def report(stage: str, total: int, more: int) -> None:
         done[stage] = done.get(stage, 0) + more
         progress(stage, done[stage] / max(total, 1), done[stage])
 
-    return told
+    return report
 
 
 def facts_of(found: TiledSums, task: TileTask, parameters: Parameters) -> dict[str, Any]:

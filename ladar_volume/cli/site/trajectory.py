@@ -59,7 +59,7 @@ def check_trajectory(a: argparse.Namespace) -> Parameters | None:
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlightOfCloud:
     """errors : of the points of the first file, None without a trajectory · facts : for the JSON ·
     doubts
     """
@@ -78,13 +78,13 @@ class Flown:
 
 def flown_of(
     a: argparse.Namespace, sources: Sequence[Source], parameters: Parameters | None
-) -> Flown:
+) -> FlightOfCloud:
     """The trajectory beside the first file. Raises :class:`ConfigurationError` for meshes and for a
     second cloud, :class:`InputError` for a trajectory of other points.
     """
     if parameters is None:
-        return Flown()
-    from ladar_volume.io.trajectories.placed_flight import placed
+        return FlightOfCloud()
+    from ladar_volume.io.trajectories.placed_flight import place_flight
     from ladar_volume.io.trajectories.pos_text import read_pos
     from ladar_volume.io.trajectories.sbet import read_sbet, with_accuracy
     from ladar_volume.report.report_page import file_digest
@@ -98,11 +98,11 @@ def flown_of(
     flown = (read_sbet if path.suffix.lower() in BINARY else read_pos)(path)
     if a.trajectory_accuracy is not None:
         flown = with_accuracy(flown, Path(a.trajectory_accuracy))
-    found = placed(flown, sources[0].cloud, parameters, a.undulation)
+    found = place_flight(flown, sources[0].cloud, parameters, a.undulation)
     used = parameters.write()
     facts = {
         **found.facts,
         "sha256": file_digest(path),
         "parameters": {name: used[name] for name in FLIGHT_SECTIONS},
     }
-    return Flown(found.errors, facts, found.doubts)
+    return FlightOfCloud(found.errors, facts, found.doubts)

@@ -70,11 +70,11 @@ def run_nist(arguments: argparse.Namespace) -> int:
 
 def run_stockpile(arguments: argparse.Namespace) -> int:
     """Compute, write, print."""
-    from ladar_volume.experiments.stockpile import Cone, Tolerated, summary
+    from ladar_volume.experiments.stockpile import Cone, ToleranceRule, summary
     from ladar_volume.experiments.stockpile_tables import TABLES, tables, write_figure
 
     cone = Cone(arguments.volume, math.radians(arguments.repose))
-    pile = Tolerated(cone, arguments.share)
+    pile = ToleranceRule(cone, arguments.share)
 
     def show(console: Console, _: dict[str, Any]) -> None:
         for title, make in TABLES.items():

@@ -109,7 +109,7 @@ def _known_rows(todo: list[Task], file: Path) -> list[dict[str, Any]]:
         Console(stderr=True).print(
             f"{others} surveys of another version of the study in {file} are left out"
         )
-    return [r for r in known if coverage.done([r]) <= wanted]
+    return [r for r in known if coverage.finished_tasks([r]) <= wanted]
 
 
 def _add_surveys(parser: argparse.ArgumentParser) -> None:

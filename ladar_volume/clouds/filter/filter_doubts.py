@@ -22,11 +22,11 @@ REMOVED_AS = {
 }
 
 
-def doubts(report: Mapping[str, float | int | str], told: bool) -> Verdict:
-    """The verdict on a result, from its report and whether the cloud ``told`` its noise."""
+def doubts(report: Mapping[str, float | int | str], noise_known: bool) -> Verdict:
+    """The verdict on a result, from its report and whether the noise is known."""
     out = []
     points = max(int(report["points"]), 1)
-    if not told:
+    if not noise_known:
         noise = float(report["noise_m"])
         out.append(
             Doubt(

@@ -63,15 +63,15 @@ WIDEST = 0.25
 @dataclass(frozen=True)
 class Tuning:
     """regions as the cover wants them · degree of the surfaces · lines : along which the cloud was
-    sampled, None for an even one · places : that tell the noise of such a cloud · told : whether
-    the cloud tells its noise; if not, a default stands in
+    sampled, None for an even one · places : from which the noise of such a cloud is estimated ·
+    noise_known : whether the noise is the cloud's own; if not, a default stands in
     """
 
     regions: Regions
     degree: int
     lines: Lines | None = None
     places: NoiseSites | None = None
-    told: bool = True
+    noise_known: bool = True
 
     @property
     def ball_m(self) -> float:

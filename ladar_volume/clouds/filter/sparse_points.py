@@ -45,7 +45,7 @@ def classify_off_surface(
     reason, n = done.reason, len(r)
     stays = np.zeros(n, np.bool_)
     kept = reason == cell_surface.KEPT
-    if auto and not tuned.told:
+    if auto and not tuned.noise_known:
         own = second_neighbour_distance(r, r)
         reason[kept] = cell_surface.FEW_POINTS
         kept = own <= np.median(own)
@@ -73,7 +73,7 @@ def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuning) -> F64:
     """
     known = tuned.regions.sigma_m[kept if kept.any() else slice(None)]
     sigma = np.full(len(r), float(np.quantile(known, FACING)))
-    if kept.any() and stays.any() and tuned.told:
+    if kept.any() and stays.any() and tuned.noise_known:
         own = second_neighbour_distance(r, r)
         wide = kept & (own >= np.quantile(own[kept], WIDELY)) & (own > 0.0)
         if wide.any():

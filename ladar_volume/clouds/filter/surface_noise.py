@@ -36,7 +36,7 @@ def project_with_own_noise(
     """The cover of points (n, 3) m twice: with the noise believed, on a grid set off, and with the
     noise that the surfaces then show; sigma and variance as the last surfaces show them.
     """
-    if not tuned.told:
+    if not tuned.noise_known:
         return tuned, project_on_cells(r, tuned.regions, parameters, tuned.degree)
     off = tuned.regions.ball_m[-1] * SET_OFF
     before = project_on_cells(r + off, tuned.regions, parameters, tuned.degree)

@@ -137,7 +137,7 @@ class FlightErrors:
         return J_cal, J_nav[:, seen], known[seen]
 
 
-def covered(states: PlatformStates, t_ns: I64) -> Bool:
+def is_covered(states: PlatformStates, t_ns: I64) -> Bool:
     """Which times (n,) lie between two states of one segment."""
     after = np.clip(np.searchsorted(states.t_ns, t_ns, side="right"), 1, len(states) - 1)
     inside = (t_ns >= states.t_ns[0]) & (t_ns <= states.t_ns[-1])

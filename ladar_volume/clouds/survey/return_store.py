@@ -19,7 +19,7 @@ WAITING, SHARE = 200_000, 0.25
 U64 = npt.NDArray[np.uint64]
 
 
-def mixed(x: U64) -> U64:
+def mix_bits(x: U64) -> U64:
     """Every bit of the numbers (n,) reaches every bit of the answer (splitmix64's finaliser)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -32,7 +32,7 @@ def place_hash(r: F64) -> U64:
     bits = (np.ascontiguousarray(r, np.float64) + 0.0).view(np.uint64)  # -0.0 is 0.0
     out = np.zeros(len(r), np.uint64)
     for axis in range(3):
-        out = mixed(out * np.uint64(0x9E3779B97F4A7C15) + bits[:, axis])
+        out = mix_bits(out * np.uint64(0x9E3779B97F4A7C15) + bits[:, axis])
     return out
 
 

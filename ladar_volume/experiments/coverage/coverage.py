@@ -29,9 +29,9 @@ from ladar_volume.experiments.coverage.coverage_cases import (
     SITES,
     VARIANTS,
     alone,
-    measured,
+    measure_survey,
 )
-from ladar_volume.experiments.coverage.coverage_engine import measured_by_engine
+from ladar_volume.experiments.coverage.coverage_engine import measure_by_engine
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError, VolumeError
 from ladar_volume.process.switch import children_of_one_thread
 from ladar_volume.version import version
@@ -119,9 +119,9 @@ def numbers(task: Task) -> dict[str, Any]:
         return dict(alone(site, task.seed))
     by_engine = task.variant == ENGINE
     rows = (
-        measured_by_engine(task.scenario, task.seed)
+        measure_by_engine(task.scenario, task.seed)
         if by_engine
-        else measured(site, *VARIANTS[task.variant], task.seed)
+        else measure_survey(site, *VARIANTS[task.variant], task.seed)
     )
     return {base: dataclasses.asdict(row) for base, row in rows.items()}
 
@@ -151,7 +151,7 @@ def sorted_rows(path: Path) -> tuple[list[dict[str, Any]], int]:
     return rows, others
 
 
-def done(rows: Iterable[dict[str, Any]]) -> set[Task]:
+def finished_tasks(rows: Iterable[dict[str, Any]]) -> set[Task]:
     """The tasks behind rows."""
     return {Task(r["scenario"], r["variant"], r["seed"]) for r in rows}
 
@@ -162,7 +162,7 @@ def run(todo: Sequence[Task], path: Path, workers: int, progress: Callable[[int]
 
     Raises :class:`OutputError` where the file cannot be written.
     """
-    finished = done(read_rows(path)) & set(todo)
+    finished = finished_tasks(read_rows(path)) & set(todo)
     left = [t for t in todo if t not in finished]
     progress(len(finished))
     try:

@@ -26,7 +26,7 @@ from ladar_volume.experiments.coverage.coverage_flight import FIX_HZ, ground_of
 from ladar_volume.experiments.coverage.coverage_scene import FIELDS, Site, level_truth
 from ladar_volume.experiments.coverage.coverage_survey import (
     SOURCES,
-    Flown,
+    MappedSurvey,
     VertexSurvey,
     fly,
     surface_only,
@@ -76,7 +76,9 @@ class Row:
     budget_m6: dict[str, float]
 
 
-def scaled(budget: BudgetParameters, sigmas: float = 1.0, tau: float = 1.0) -> BudgetParameters:
+def scale_budget(
+    budget: BudgetParameters, sigmas: float = 1.0, tau: float = 1.0
+) -> BudgetParameters:
     """The budget with all standard deviations and all correlation times multiplied."""
     changes: dict[str, Any] = {}
     for fields in SOURCES.values():
@@ -99,10 +101,10 @@ NOISE, BASE_SURFACE = "noise", "base_surface"
 #: Variant → the budget the errors are drawn from, and the one that is believed.
 VARIANTS: dict[str, tuple[BudgetParameters, BudgetParameters]] = {
     ALL: (DEFAULT, DEFAULT),
-    "tau three times as long": (scaled(DEFAULT, tau=3.0), DEFAULT),
-    "tau a third": (scaled(DEFAULT, tau=1.0 / 3.0), DEFAULT),
-    "sigmas 30 % larger": (scaled(DEFAULT, sigmas=1.3), DEFAULT),
-    "sigmas 30 % smaller": (scaled(DEFAULT, sigmas=0.7), DEFAULT),
+    "tau three times as long": (scale_budget(DEFAULT, tau=3.0), DEFAULT),
+    "tau a third": (scale_budget(DEFAULT, tau=1.0 / 3.0), DEFAULT),
+    "sigmas 30 % larger": (scale_budget(DEFAULT, sigmas=1.3), DEFAULT),
+    "sigmas 30 % smaller": (scale_budget(DEFAULT, sigmas=0.7), DEFAULT),
     "beams not modelled": (
         DEFAULT,
         dataclasses.replace(DEFAULT, beam_range_sigma_m=0.0, beam_vertical_sigma_rad=0.0),
@@ -156,7 +158,7 @@ def truth(site: Site | BoxSite, base: str, seed: int) -> float:
     return site.volume_m3
 
 
-def measured(
+def measure_survey(
     site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetParameters, seed: int
 ) -> dict[str, Row]:
     """One whole survey, or two for a difference: by base its error and what the propagation says of
@@ -238,7 +240,7 @@ def epochs(
     believed: BudgetParameters,
     seed: int,
     ground: int | None = None,
-) -> tuple[Flown, Flown]:
+) -> tuple[MappedSurvey, MappedSurvey]:
     """Before and after: one instrument and one ground, two flights."""
     before = dataclasses.replace(site, height_m=0.0)
     return fly(before, drawn, believed, seed, 2 * seed, ground), fly(
@@ -246,7 +248,7 @@ def epochs(
     )
 
 
-def full_tin(flown: Flown, parameters: Parameters) -> Tin:
+def full_tin(flown: MappedSurvey, parameters: Parameters) -> Tin:
     """Every vertex of the survey in one TIN, with the triangles that the parameters call
     relevant.
     """

@@ -57,7 +57,7 @@ BOX_SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-def measured_by_engine(scenario: str, seed: int, thin: int = THIN) -> dict[str, Row]:
+def measure_by_engine(scenario: str, seed: int, thin: int = THIN) -> dict[str, Row]:
     """One survey, or two for a difference, from messages to the volume: by base its error and what
     the result says of it.
     """
@@ -71,7 +71,7 @@ def measured_by_engine(scenario: str, seed: int, thin: int = THIN) -> dict[str, 
     )
 
 
-def replayed(
+def fly_and_replay(
     scene: Scene, platform: Platform, settings: dict[str, dict[str, Any]], seed: int, thin: int
 ) -> Replay:
     """A flight with all errors, recorded and replayed."""
@@ -90,7 +90,7 @@ def replayed(
 def stockpile_by_engine(site: Site, seed: int, thin: int) -> dict[str, Row]:
     """One flight over a stockpile, above its own ground and above a level."""
     scene = make_scene(SCENES[site.name], seed)
-    replay = replayed(
+    replay = fly_and_replay(
         scene, platform_for(scene, "uav", DURATION_S), suited_settings(scene), seed, thin
     )
     estimator = replay.engine.estimator
@@ -148,7 +148,7 @@ def pit_by_engine(site: Site, seed: int, thin: int) -> Row:
     }
     platform = uav(*site.flight_m, DURATION_S)
     before, after = (
-        replayed(
+        fly_and_replay(
             pit_scene(site, seed, dug), platform, settings, 2 * seed + dug, thin
         ).engine.estimator.epoch()
         for dug in (False, True)
@@ -164,7 +164,7 @@ def box_by_engine(seed: int, thin: int) -> Row:
     the filtered points, which lie in clusters where scan lines cross, one of each cube is meshed.
     """
     ground = Ground(slope=SLOPE, rough_m=BOX.rough_m, length_m=BOX.length_m, seed=seed)
-    replay = replayed(
+    replay = fly_and_replay(
         box_scene("box", BOX.size_m, ground),
         uav(*BOX.flight_m, DURATION_S),
         BOX_SETTINGS,

@@ -52,7 +52,7 @@ def pulses(
     return velodyne.Firings(t, -2 * np.pi * t / velodyne.TURN_S, elevation, ring.astype(np.uint16))
 
 
-def turned(angles: F64) -> Rotation:
+def rotation_of_angles(angles: F64) -> Rotation:
     """Body → map rotations of roll, pitch and yaw (n, 3) rad, ``Rz Ry Rx``: scipy's own take ten
     times as long on many.
     """
@@ -86,7 +86,7 @@ class Path:
     def at(cls, platform: Platform, t_s: F64) -> Path:
         """The path at these times."""
         angles = platform.angles(t_s)
-        return cls(t_s, platform.position(t_s), angles, turned(angles))
+        return cls(t_s, platform.position(t_s), angles, rotation_of_angles(angles))
 
     def select(self, keep: I64) -> Path:
         """The path at some of the times."""
@@ -94,7 +94,7 @@ class Path:
 
     def measured_rotation(self, error: F64) -> Rotation:
         """Body → map rotations as measured with errors (n, 3) rad of roll, pitch and yaw."""
-        return turned(self.angles + error)
+        return rotation_of_angles(self.angles + error)
 
 
 @lru_cache(maxsize=2)
@@ -104,18 +104,18 @@ def pulses_of(site: Site | BoxSite, flight: int) -> tuple[velodyne.Firings, Path
     """
     platform = uav(*site.flight_m, DURATION_S)
     f = pulses(platform, site.pulses, site.sector_rad, np.random.default_rng([flight, PULSES]))
-    near = aimed_at(site, platform, f)
+    near = aim_at(site, platform, f)
     f = velodyne.Firings(f.time_s[near], f.azimuth[near], f.elevation[near], f.ring[near])
     return f, Path.at(platform, f.time_s)
 
 
-def aimed_at(site: Site | BoxSite, platform: Platform, f: velodyne.Firings) -> I64:
+def aim_at(site: Site | BoxSite, platform: Platform, f: velodyne.Firings) -> I64:
     """The pulses (k,) that come within :data:`NEAR_M` of the surveyed rectangle on their way
     through the heights of the site, seen from the nearest sample of the path.
     """
     path, _, _ = states_of(site)
     row = np.rint((f.time_s - path.t_s[0]) * ATTITUDE_HZ).astype(np.int64)
-    boresight = turned(np.radians(np.array(platform.boresight_deg))[None])[0]
+    boresight = rotation_of_angles(np.radians(np.array(platform.boresight_deg))[None])[0]
     ray = path.rotation[row].apply(boresight.apply(velodyne.directions(f.azimuth, f.elevation)))
     ends = [
         path.position[row, :2] + ray[:, :2] * ((z - path.position[row, 2]) / ray[:, 2])[:, None]

@@ -76,7 +76,7 @@ class VertexSurvey:
 
 
 @dataclass(frozen=True)
-class Flown:
+class MappedSurvey:
     """points : what is mapped · measured : gives the platform as measured, with the believed C_nav:
     a volume without its sigma does not need it · mount : as known · normal : (n, 3) of the surface
     that each hit
@@ -94,7 +94,7 @@ class Flown:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class SurveyErrors:
     """What is wrong with one survey: boresight (3,) rad, lever arms (3,) m, clock s, beams, and
     errors of fixes and attitudes in time.
     """
@@ -110,7 +110,7 @@ class Drawn:
     attitude: F64
 
     @classmethod
-    def draw(cls, budget: BudgetParameters, instrument: int, flight: int) -> Drawn:
+    def draw(cls, budget: BudgetParameters, instrument: int, flight: int) -> SurveyErrors:
         """Errors of this budget. Two surveys with one ``instrument`` share its calibration; each
         ``flight`` has its own clock offset and navigation.
         """
@@ -192,7 +192,7 @@ def fly(
     seed: int,
     flight: int | None = None,
     ground: int | None = None,
-) -> Flown:
+) -> MappedSurvey:
     """A flight over a site with errors drawn from one budget; the platform's covariance is that of
     another.
 
@@ -202,7 +202,7 @@ def fly(
     flight, ground = (seed if number is None else number for number in (flight, ground))
     platform = uav(*site.flight_m, DURATION_S)
     mount = mounting(nominal(platform))
-    drawn = Drawn.draw(drawn_with, seed, flight)
+    drawn = SurveyErrors.draw(drawn_with, seed, flight)
     noise = np.random.default_rng([flight, NOISE])
     f, path, true, hit = hits_of(site, ground, flight, true_aim(drawn_with, drawn, mount))
     rho = velodyne.measured_ranges(true, f.ring, drawn.beams, drawn_with, 0.0, noise, 0.0)
@@ -222,12 +222,12 @@ def fly(
     points = MappedPoints(
         nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32)
     )
-    return Flown(
+    return MappedSurvey(
         points, lambda: platform_states(site, drawn, mount, believed), mount, site.normals_at(hit)
     )
 
 
-def true_aim(budget: BudgetParameters, drawn: Drawn, mount: Mounting) -> Aim:
+def true_aim(budget: BudgetParameters, drawn: SurveyErrors, mount: Mounting) -> Aim:
     """Where the beams truly point: the mounting as known with its drawn errors, and the noise of
     the angles.
     """
@@ -248,7 +248,7 @@ def nanoseconds(t: F64) -> I64:
 
 
 def platform_states(
-    site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget: BudgetParameters
+    site: Site | BoxSite, drawn: SurveyErrors, mount: Mounting, budget: BudgetParameters
 ) -> PlatformStates:
     """States at the rate of the attitudes, with the covariance that the budget claims."""
     path, velocity, rates = states_of(site)
@@ -283,7 +283,9 @@ def platform_states(
     )
 
 
-def surface_points(flown: Flown, geometry: PointGeometry, believed: Parameters) -> FilteredPoints:
+def surface_points(
+    flown: MappedSurvey, geometry: PointGeometry, believed: Parameters
+) -> FilteredPoints:
     """Every return as a surface point, with its independent noise."""
     normal = flown.normal
     C = independent_covariance(geometry, independent_sigmas(believed.budget))
@@ -293,7 +295,7 @@ def surface_points(flown: Flown, geometry: PointGeometry, believed: Parameters) 
     return dataclasses.replace(surface_only(flown), variance=variance, C_tangent=tangential)
 
 
-def surface_only(flown: Flown) -> FilteredPoints:
+def surface_only(flown: MappedSurvey) -> FilteredPoints:
     """Every return as a surface point without noise: enough for a volume without its sigma."""
     n = len(flown.points)
     return FilteredPoints(
@@ -307,7 +309,7 @@ def surface_only(flown: Flown) -> FilteredPoints:
     )
 
 
-def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
+def vertices(flown: MappedSurvey, believed: Parameters) -> FilterUpdate:
     """Every return as a surface point with a patch of its own: its noise and sensitivities along
     the surface's normal.
     """

@@ -34,7 +34,7 @@ def mark(value: float, low: float, high: float, form: str) -> str:
     return format(value, form) + ("" if low <= value <= high else " *")
 
 
-def judged(s: dict[str, Any]) -> list[str]:
+def statistics_cells(s: dict[str, Any]) -> list[str]:
     """Ratio and coverages of one row of statistics as cells."""
     low = limits(s["surveys"])
     return [
@@ -52,7 +52,7 @@ def main_cells(s: dict[str, Any]) -> list[str]:
         f"{s['bias_m3']:+.3f} ± {s['bias_sigma_m3']:.3f}",
         f"{s['spread_m3']:.3f}",
         f"{s['sigma_m3']:.3f}",
-        *judged(s),
+        *statistics_cells(s),
         f"{s['ratio_naive']:.3f}",
         f"{s['tau_m3'][0]:.3f} to {s['tau_m3'][1]:.3f}",
     ]

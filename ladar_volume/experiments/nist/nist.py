@@ -15,7 +15,7 @@ import numpy as np
 
 from ladar_volume.experiments.nist import nist_discrepancies as riddles
 from ladar_volume.experiments.nist.nist_experiments import (
-    Directed,
+    MethodComparison,
     Own,
     error_pct,
     experiment_four,
@@ -50,7 +50,7 @@ class Study:
     fits: F64
     full: F64
     three: F64
-    four: list[list[list[Directed]]]
+    four: list[list[list[MethodComparison]]]
     own: list[Own]
     sensitivity: list[dict[str, F64]]
     front: tuple[F64, F64]
@@ -79,7 +79,7 @@ def run(seeds: int, progress: Callable[[str], None] = lambda text: None) -> Stud
     one: list[F64] = []
     two: list[tuple[F64, F64, float]] = []
     three: list[F64] = []
-    four: list[list[list[Directed]]] = []
+    four: list[list[list[MethodComparison]]] = []
     own: list[Own] = []
     sensitivity: list[dict[str, F64]] = []
     for seed in range(seeds):

@@ -17,7 +17,7 @@ from ladar_volume.experiments.nist.nist_experiments import (
     COUNTS,
     FILTER_TOLERANCE_M,
     SUBSET_VERTICES,
-    Directed,
+    MethodComparison,
     both,
     box_volume,
     error_pct,
@@ -98,7 +98,7 @@ def sensitivity(seed: int) -> dict[str, F64]:
             turned = subset_surfaces(frame.points(points[0]), frame.points(points[1]))
             out["common footprint"] = common_error(surfaces)
             out["scan direction, common footprint"] = common_error(turned)
-            out |= median_filtered(*points)
+            out |= median_filter_shares(*points)
     return out
 
 
@@ -112,7 +112,7 @@ def common_error(surfaces: tuple[Tin, Tin]) -> F64:
     return error_pct(between(*surfaces, gradients=False).net_m3).reshape(1)
 
 
-def median_filtered(with_box: F64, without_box: F64) -> dict[str, F64]:
+def median_filter_shares(with_box: F64, without_box: F64) -> dict[str, F64]:
     """The same with the median filter; ``replaced``: the share of points that it replaced, and how
     many of these lie near a wall of the box.
     """
@@ -163,7 +163,7 @@ def published_levels() -> dict[str, Any]:
     return out
 
 
-def simulated_levels(experiments: list[list[list[Directed]]]) -> dict[str, Any]:
+def simulated_levels(experiments: list[list[list[MethodComparison]]]) -> dict[str, Any]:
     """The same in simulated scans (seeds, clouds, without and with adjustment)."""
     rows = np.array(
         [

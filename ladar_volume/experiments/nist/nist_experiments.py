@@ -70,7 +70,7 @@ def adaptive(points: F64, vertices: int, bins: int | None = None) -> AdaptiveTin
     return adaptive_tin(points, vertices=vertices, bins_per_row=bins)
 
 
-def adjusted(points: F64, tin: Tin) -> Tin:
+def adjust_elevations(points: F64, tin: Tin) -> Tin:
     """The TIN after RMS elevation adjustment to the points."""
     return adjust_rms(tin, points).tin
 
@@ -87,7 +87,10 @@ def both(
 ) -> list[tuple[Tin, Tin]]:
     """The two surfaces, with and without the box, first as inserted, then RMS adjusted."""
     plain = [adaptive(p, n, bins).tin for p, n in zip(points, vertices, strict=True)]
-    return [(plain[0], plain[1]), (adjusted(points[0], plain[0]), adjusted(points[1], plain[1]))]
+    return [
+        (plain[0], plain[1]),
+        (adjust_elevations(points[0], plain[0]), adjust_elevations(points[1], plain[1])),
+    ]
 
 
 def experiment_one(
@@ -185,7 +188,7 @@ def scan_frame(without: Scan) -> Frame:
 
 
 @dataclass(frozen=True)
-class Directed:
+class MethodComparison:
     """Experiment 4 of one pair of clouds: one, two : the levels of Method 1 and Method 2 (Tables
     5.7, 5.8) · offset : between the two sequences of cut volumes in front of the box (Table 5.6),
     of the surface with it against that without
@@ -196,7 +199,7 @@ class Directed:
     offset: Offset
 
 
-def directed(surfaces: tuple[Tin, Tin]) -> Directed:
+def compare_methods(surfaces: tuple[Tin, Tin]) -> MethodComparison:
     """Both methods, from the level in front of the box five steps towards the scanner, and from the
     highest level without fill down.
     """
@@ -214,7 +217,7 @@ def directed(surfaces: tuple[Tin, Tin]) -> Directed:
         if len(level) > 30
         else Offset(float("nan"), float("nan"), float("nan"), 0)
     )
-    return Directed(method_one(*surfaces, front + steps[::-1]), two, offset)
+    return MethodComparison(method_one(*surfaces, front + steps[::-1]), two, offset)
 
 
 #: Levels of Table 5.6, cm: every 0.2 cm, of which the first and the last are printed.
@@ -246,7 +249,7 @@ def difference_at(level_m: F64, cuts_m3: F64, offset_m: float) -> float:
     return float(np.sqrt(np.sum((cuts_m3[0][there] - second) ** 2)))
 
 
-def experiment_four(seed: int, count: int = SUBSETS) -> list[list[Directed]]:
+def experiment_four(seed: int, count: int = SUBSETS) -> list[list[MethodComparison]]:
     """The full set, then each subset; of each without and with RMS adjustment (Tables 5.7 to
     5.9).
     """
@@ -262,7 +265,7 @@ def experiment_four(seed: int, count: int = SUBSETS) -> list[list[Directed]]:
         *((h, SUBSET_VERTICES) for h in halves),
     ]:
         turned = frame.points(points[0]), frame.points(points[1])
-        out.append([directed(surfaces) for surfaces in both(turned, (n, n))])
+        out.append([compare_methods(surfaces) for surfaces in both(turned, (n, n))])
     return out
 
 

@@ -35,7 +35,7 @@ class ExportRequest:
 
 
 @dataclass(frozen=True)
-class Written:
+class ExportedFiles:
     """names : of the files · notes : sentences on what they hold that a user is to know"""
 
     names: list[str]
@@ -49,7 +49,7 @@ def check_packages(formats: Sequence[str]) -> None:
             importlib.import_module(FORMATS[name].needs)
 
 
-def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> Written:
+def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> ExportedFiles:
     """Write the files into a folder, all or none. Raises OutputError."""
     names = [FORMATS[name].file for name in wanted.formats]
     every = [kind.file for kind in FORMATS.values()]
@@ -57,7 +57,7 @@ def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> Written
         for name in wanted.formats:
             writer(name, wanted)(part / FORMATS[name].file, d)
     placed = {"geojson", "contours"} & set(wanted.formats)
-    return Written(names, [d.positions.note] if placed and d.positions.note else [])
+    return ExportedFiles(names, [d.positions.note] if placed and d.positions.note else [])
 
 
 def writer(name: str, wanted: ExportRequest) -> Callable[[Path, Deliverable], None]:

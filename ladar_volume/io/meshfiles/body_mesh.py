@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # for names of types alone
     from ladar_volume.clouds.body_volume import Body
 
 
-def joined(bodies: Sequence[Body]) -> tuple[F64, I32]:
+def join_bodies(bodies: Sequence[Body]) -> tuple[F64, I32]:
     """Vertices (n, 3) m and triangles (m, 3) of all bodies, which may be none."""
     start = np.cumsum([0, *(len(b.skin.vertices) for b in bodies)])
     triangles = [b.closed.mesh.triangles + at for b, at in zip(bodies, start, strict=False)]
@@ -29,7 +29,7 @@ def write_bodies(path: Path, bodies: Sequence[Body]) -> None:
     """All bodies in one mesh file; in a PLY each vertex says what it is, and each face of which
     body it is and what closed it.
     """
-    vertices, triangles = joined(bodies)
+    vertices, triangles = join_bodies(bodies)
     body = np.repeat(
         np.minimum(np.arange(len(bodies)), 255), [len(b.skin.triangles) for b in bodies]
     )

@@ -192,8 +192,8 @@ def _finite(vertices: F64) -> F64:
 def _assemble(
     vertices: F64, faces: Faces, columns: Mapping[str, npt.NDArray[Any]] | None = None
 ) -> MeshFile:
-    triangles, bent = triangulate_faces(_finite(vertices), faces)
-    mesh = MeshFile(vertices, triangles, columns=columns or {}, doubts=bent)
+    triangles, doubts = triangulate_faces(_finite(vertices), faces)
+    mesh = MeshFile(vertices, triangles, columns=columns or {}, doubts=doubts)
     return _repair(mesh, False)
 
 

@@ -101,7 +101,7 @@ def triangulate_faces(vertices: F64, faces: Faces) -> tuple[I32, tuple[Doubt, ..
     check_index(groups, len(vertices))
     owner, triangles = [], []
     between = size = 0.0
-    bent = 0
+    uneven = 0
     for k, (numbers, corners) in groups.items():
         fan = np.stack([[0, i, i + 1] for i in range(1, k - 1)])
         made = corners[:, fan]
@@ -115,7 +115,7 @@ def triangulate_faces(vertices: F64, faces: Faces) -> tuple[I32, tuple[Doubt, ..
             off = np.abs(np.einsum("mki,mi->mk", p - middle[:, None], unit)).max(axis=1)
             area = 0.5 * np.linalg.norm(normal, axis=1)
             between, size = between + float(off @ area), size + float(area @ np.sqrt(area))
-            bent += int(np.count_nonzero(off > BENT * np.sqrt(area)))
+            uneven += int(np.count_nonzero(off > BENT * np.sqrt(area)))
         owner.append(np.repeat(numbers, k - 2))
         triangles.append(made.reshape(-1, 3))
     order = np.argsort(np.concatenate(owner), kind="stable")
@@ -123,7 +123,7 @@ def triangulate_faces(vertices: F64, faces: Faces) -> tuple[I32, tuple[Doubt, ..
     if between <= BENT * size:
         return out, ()
     text = (
-        f"{bent:,} faces have more than three corners in no plane: which diagonal holds is not "
+        f"{uneven:,} faces have more than three corners in no plane: which diagonal holds is not "
         f"said, and up to {between:.3g} m³ lie between them; export triangles"
     )
     return out, (Doubt("mesh_bent_faces", text, between),)

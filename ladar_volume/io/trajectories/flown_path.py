@@ -61,7 +61,7 @@ def attitudes(roll: F64, pitch: F64, heading: F64) -> F64:
     return out
 
 
-def checked(path: FlownPath) -> FlownPath:
+def check_path(path: FlownPath) -> FlownPath:
     """The path with poses of equal time counted once. Raises :class:`InputError`
     (input_trajectory) for numbers that are none, a time that runs back, and places that are not on
     the earth.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladar_volume.clouds.survey.flight_errors import LARGE_RAD, FlightErrors, covered
+from ladar_volume.clouds.survey.flight_errors import LARGE_RAD, FlightErrors, is_covered
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.trajectory import rates_from_attitudes, tangents
 from ladar_volume.io.pointfiles.crs import parts_of
@@ -47,7 +47,7 @@ class PlacedFlight:
     doubts: tuple[Doubt, ...]
 
 
-def placed(
+def place_flight(
     flown: FlownPath, cloud: PointFile, parameters: Parameters, undulation_m: float | None
 ) -> PlacedFlight:
     """The trajectory beside a cloud. undulation_m : height of the cloud's zero above the ellipsoid,
@@ -99,7 +99,7 @@ def share_outside(states: PlatformStates, t_ns: I64, flown: FlownPath) -> float:
     """Share of times (n,) that no states enclose. Raises :class:`InputError` (input_trajectory)
     where it is more than :data:`MOST_OUTSIDE`.
     """
-    outside = 1.0 - float(np.mean(covered(states, t_ns)))
+    outside = 1.0 - float(np.mean(is_covered(states, t_ns)))
     if outside > MOST_OUTSIDE:
         raise InputError(
             f"{flown.path.name} covers {100 * (1 - outside):.1f} % of the points: give the "

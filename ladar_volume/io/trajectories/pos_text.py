@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.io.trajectories.flown_path import FlownPath, attitudes, checked
+from ladar_volume.io.trajectories.flown_path import FlownPath, attitudes, check_path
 from ladar_volume.io.trajectories.sbet import WEEK_S, clock_of
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64
@@ -72,7 +72,7 @@ def read_pos(path: Path) -> FlownPath:
     attitude = None
     if turned:
         attitude = attitudes(*(np.radians(columns[k]) for k in ("roll", "pitch", "heading")))
-    return checked(
+    return check_path(
         FlownPath(
             path,
             time,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.io.trajectories.flown_path import FlownPath, attitudes, checked
+from ladar_volume.io.trajectories.flown_path import FlownPath, attitudes, check_path
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64
 
@@ -55,7 +55,7 @@ def read_sbet(path: Path) -> FlownPath:
         )
     lat, lon, roll, pitch, platform, wander = angles.T
     place = np.column_stack([np.degrees(lat), np.degrees(lon), table[:, 3]])
-    return checked(
+    return check_path(
         FlownPath(
             path, time.copy(), clock_of(time), place, attitudes(roll, pitch, platform - wander)
         )

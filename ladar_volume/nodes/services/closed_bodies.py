@@ -37,7 +37,7 @@ END_S = 20.0
 
 
 @dataclass(frozen=True)
-class Meshed:
+class MeshingOutcome:
     """What the thread found. survey : number of the survey that the returns belong to · t_ns :
     stamp of the newest of them · meshed : the bodies, or error : why there are none
     """
@@ -55,7 +55,7 @@ class ClosedBodies:
 
     def __init__(self, parameters: Parameters, offer: Callable[[str, Any], bool]) -> None:
         self._edge_m, self._offer = parameters.filter.radius_m, offer
-        self._survey, self._ready = 0, Meshed(0, 0)
+        self._survey, self._ready = 0, MeshingOutcome(0, 0)
         #: Whether an answer waits: only it begins a mesh then.
         self.waits = False
         self._thread: threading.Thread | None = None
@@ -93,12 +93,12 @@ class ClosedBodies:
         if self.running or not (at_once or (new and rested and not self.waits)):
             return
         self._began, self._due_ns = time.monotonic(), self.newest_ns
-        job = self._store.copy(), estimate, parameters, Meshed(self._survey, self.newest_ns)
+        job = self._store.copy(), estimate, parameters, MeshingOutcome(self._survey, self.newest_ns)
         self._thread = threading.Thread(target=self._mesh, args=job, name="bodies", daemon=True)
         self._thread.start()
 
     def _mesh(
-        self, store: ReturnStore, estimate: Estimate, parameters: Parameters, job: Meshed
+        self, store: ReturnStore, estimate: Estimate, parameters: Parameters, job: MeshingOutcome
     ) -> None:
         try:
             from ladar_volume.clouds.survey.survey_bodies import about, mesh_returns

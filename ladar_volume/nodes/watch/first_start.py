@@ -1,4 +1,4 @@
-"""A node's first start: its kernels are compiled, which takes minutes and is told meanwhile."""
+"""A node's first start: its kernels are compiled, which takes minutes and is reported meanwhile."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator
 
-from ladar_volume.process.compile_progress import COMPILING
+from ladar_volume.process.compile_progress import COMPILE_PROGRESS
 
-#: How often it is told how far the compiler is, s.
+#: Time between two reports, s.
 EVERY_S = 1.0
 
 
 @contextlib.contextmanager
-def compiling_told(tell: Callable[[str], None], every_s: float = EVERY_S) -> Iterator[None]:
-    """While the block runs and has to compile, ``tell`` is called with how far it is, and stderr
-    has it, too.
+def compilation_reports(tell: Callable[[str], None], every_s: float = EVERY_S) -> Iterator[None]:
+    """While the block compiles kernels, ``tell`` is called with the progress, which also goes to
+    stderr.
     """
-    before, over = COMPILING.count, threading.Event()
+    before, over = COMPILE_PROGRESS.count, threading.Event()
 
     def watch() -> None:
         while not over.wait(every_s):
-            if COMPILING.count > before:
-                tell(COMPILING.words())
+            if COMPILE_PROGRESS.count > before:
+                tell(COMPILE_PROGRESS.words())
 
     watching = threading.Thread(target=watch, name="compiling", daemon=True)
     watching.start()
-    COMPILING.aloud = True
+    COMPILE_PROGRESS.to_stderr = True
     try:
         yield
     finally:
