@@ -67,6 +67,7 @@ def writer(name: str, wanted: ExportRequest) -> Callable[[Path, Deliverable], No
         "csv": write_rows,
         "las": write_points,
         "laz": write_points,
+        "copc": write_points,
         "ply": write_surface,
         "tif": lambda path, d: write_tif(path, d, wanted.cell),
         "landxml": write_landxml,
@@ -102,13 +103,14 @@ def write_points(path: Path, d: Deliverable) -> None:
         name: d.system.numbers(c) if name.startswith("sigma") else c
         for name, c in d.points.columns.items()
     }
-    from ladar_volume.io.pointfiles.las_write import write_las  # laspy only where needed
+    from ladar_volume.io.pointfiles.las_write import is_copc, write_las  # laspy only if needed
 
     flat, comments = flatten(d.system.numbers(d.points.r), columns, {}, path.suffix)
     like = d.points.like
     las = None if like is None else like.las
     kept = like is not None and like.coordinates.keeps(d.system.crs, d.system.unit)
-    own = kept and like is not None and like.coordinates.read.said_by == "header" and las
+    own = kept and like is not None and like.coordinates.read.said_by == "header"
+    own = own and las is not None and (las.global_encoding.wkt or not is_copc(path))
     write_las(path, flat, comments, las, None if own else d.system.crs, kept, "1.4")
 
 

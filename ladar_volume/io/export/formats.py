@@ -21,6 +21,7 @@ FORMATS = {
     "csv": Format("volumes.csv", "one volume a row"),
     "las": Format("points.las", "points with sigma, LAS 1.4"),
     "laz": Format("points.laz", "the same, compressed"),
+    "copc": Format("points.copc.laz", "the same, cloud-optimised (COPC) for viewers"),
     "ply": Format("surface.ply", "the surface with sigma of its vertices"),
     "tif": Format("surface.tif", "heights, sigma and base as GeoTIFF", "rasterio"),
     "landxml": Format("surface.xml", "surface and base as LandXML 1.2 TINs"),

@@ -1,5 +1,5 @@
-"""Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, and E57, which is only read; by the
-ending of their name.
+"""Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, COPC (``.copc.laz``), and E57, which
+is only read; by the ending of their name.
 
 Coordinates come in metres, whatever the file holds. Points keep the order of the file; those left
 out (no return, noise classes, withheld) are counted, and ``PointFile.rows`` tells the row of each
@@ -149,7 +149,8 @@ def write_cloud(
     like: PointFile | None = None,
 ) -> None:
     """Write points (n, 3), m, and columns, (n,) or (n, count), as the kind of file its name ends
-    in; whole, or not at all. There may be none: the file then holds its columns' names.
+    in; whole, or not at all. There may be none: the file then holds its columns' names. COPC
+    orders points by an octree; the other kinds keep their order.
 
     ``names`` gives words to the codes of an integer column: text and NPY hold the words, the others
     the codes, and the words in a comment (LAS: in a record). ``encoding`` chooses among
@@ -169,16 +170,21 @@ def write_cloud(
     flat, comments = flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
     with atomic_file(path) as part:
         if ending in (".las", ".laz"):
-            from ladar_volume.io.pointfiles.las_write import write_las
-
-            if like is None:
-                write_las(part, flat, comments)
-            else:
-                at = like.coordinates
-                write_las(part, flat, comments, like.las, at.crs_to_write(like.las), at.are_metres)
+            _write_las(part, flat, comments, like)
         else:
             notes = [] if like is None else like.coordinates.notes()
             _writer(ending)(part, flat, [*notes, *comments], encoding)
+
+
+def _write_las(path: Path, columns: Columns, comments: list[str], like: PointFile | None) -> None:
+    from ladar_volume.io.pointfiles.las_write import is_copc, write_las
+
+    if like is None:
+        write_las(path, columns, comments)
+        return
+    at = like.coordinates
+    crs = at.crs_to_write(like.las, as_wkt=is_copc(path))
+    write_las(path, columns, comments, like.las, crs, at.are_metres)
 
 
 def check_output(path: str | Path) -> Path:

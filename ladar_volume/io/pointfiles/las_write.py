@@ -1,5 +1,5 @@
-"""LAS and LAZ written by laspy: every column in its own dimension, the CRS, and what the header of
-the file that the points come from says.
+"""LAS, LAZ and COPC written by laspy: every column in its own dimension, the CRS, and what the
+header of the file that the points come from says.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import laspy
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.io.pointfiles.copc_write import write_copc
 from ladar_volume.io.pointfiles.ply import narrow
 from ladar_volume.io.pointfiles.raw_table import WAVES, Columns
 from ladar_volume.model.errors import OutputError
@@ -27,6 +28,10 @@ SCALE_M = 1e-4
 COLOURS, INFRARED = {"red", "green", "blue"}, {"nir"}
 #: Point formats with wave packets, and the same ones without.
 WITHOUT_WAVES = {4: 1, 5: 3, 9: 6, 10: 8}
+#: What COPC has for the older ones.
+MODERN = {0: 6, 1: 6, 2: 7, 3: 7}
+#: Degrees of a step of the scan angle in formats 6 to 10; older ones have whole degrees.
+ANGLE_DEG = 0.006
 #: Records that laspy writes itself, and those that hold for the old file alone.
 OWN_RECORDS = {("laszip encoded", 22204), ("LASF_Spec", 4), ("copc", 1), ("copc", 1000)}
 PROJECTION = "LASF_Projection"
@@ -41,24 +46,26 @@ def write_las(
     same_system: bool = False,
     version: str | None = None,
 ) -> None:
-    """Write points; LAZ by the file's ending.
+    """Write points; LAZ by the file's ending, and COPC by ``.copc.laz``.
 
     A column that the point format has a place for goes there where its values fit, else into extra
     bytes. ``like`` gives point format, version, GPS time's kind and records; where ``same_system``,
     its numbers are those that are written, and it gives offsets, and without a ``crs`` its own. A
     ``crs`` is written as WKT. ``version`` is the least that is written.
     Coordinates are integers of 0.1 mm, or a finer whole part of ``like``'s step (coarser only where
-    the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". Raises
-    OSError and :class:`OutputError`.
+    the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". COPC has
+    point formats 6 to 8, a WKT or no system, and an order of its own. Raises OSError and
+    :class:`OutputError`.
     """
+    copc = is_copc(path)
     if path.suffix.lower() == ".laz" and like is not None and set(columns) & WAVES:
         raise OutputError(
             "the compression of wave packets loses places in files of several channels: write .las",
             value=sorted(set(columns) & WAVES),
         )
-    columns = {name: narrow(c) for name, c in columns.items()}
+    columns = _columns_of(columns, copc)
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    header = _header(like, columns, crs, same_system)
+    header = _header(like, columns, crs, same_system, copc)
     if version is not None:
         header.version = max(header.version, laspy.header.Version.from_str(version))
     _set_scales(header, r, like if same_system else None)
@@ -67,15 +74,34 @@ def write_las(
     if comments:
         text = json.dumps(comments).encode()
         header.vlrs.append(laspy.VLR("ladar_volume", 1, "names of the codes", text))
+    points = _record(header, r, {**own, **extra})
+    write_copc(path, header, points) if copc else laspy.LasData(header, points).write(str(path))
+
+
+def _columns_of(columns: Columns, copc: bool) -> Columns:
+    """The columns in the smallest types that hold them, by the names that the kind of file has."""
+    columns = {name: narrow(c) for name, c in columns.items()}
+    if copc and "scan_angle_rank" in columns:
+        rank = np.asarray(columns.pop("scan_angle_rank"), np.float64)
+        columns["scan_angle"] = np.round(rank / ANGLE_DEG).astype(np.int16)
+    return columns
+
+
+def _record(header: laspy.LasHeader, r: F64, columns: Columns) -> laspy.ScaleAwarePointRecord:
     points = laspy.ScaleAwarePointRecord.zeros(len(r), header=header)
     points.x, points.y, points.z = r.T
-    for name, c in {**own, **extra}.items():
+    for name, c in columns.items():
         points[name] = c
-    laspy.LasData(header, points).write(str(path))
+    return points
+
+
+def is_copc(path: Path) -> bool:
+    """Whether a file of this name is cloud-optimised."""
+    return path.name.lower().endswith(".copc.laz")
 
 
 def _header(
-    like: laspy.LasHeader | None, columns: Columns, crs: CRS | None, same_system: bool
+    like: laspy.LasHeader | None, columns: Columns, crs: CRS | None, same_system: bool, copc: bool
 ) -> laspy.LasHeader:
     if like is None:
         names = set(columns)
@@ -83,10 +109,11 @@ def _header(
         header = laspy.LasHeader(point_format=kind, version="1.4")
     else:
         # WKT has its place in 1.4, which holds every point format
-        version = "1.4" if crs is not None else str(like.version)
-        own_crs = same_system and crs is None
+        version = "1.4" if crs is not None or copc else str(like.version)
+        own_crs = same_system and crs is None and (like.global_encoding.wkt or not copc)
         kind = like.point_format.id
         kind = kind if set(columns) & WAVES else WITHOUT_WAVES.get(kind, kind)
+        kind = MODERN.get(kind, kind) if copc else kind
         header = laspy.LasHeader(point_format=kind, version=version)
         header.global_encoding.gps_time_type = like.global_encoding.gps_time_type
         header.file_source_id, header.uuid = like.file_source_id, like.uuid
@@ -106,6 +133,7 @@ def _header(
     if crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt_of(crs)))
         header.global_encoding.wkt = True
+    header.global_encoding.wkt |= copc  # point formats 6 to 10 have no other words for a system
     return header
 
 

@@ -68,11 +68,12 @@ class MapCoordinates:
         """Whether the metres are the file's own numbers."""
         return self.across is not None and self.factor == (1.0, 1.0)
 
-    def crs_to_write(self, las: LasHeader | None) -> CRS | None:
+    def crs_to_write(self, las: LasHeader | None, as_wkt: bool = False) -> CRS | None:
         """The system for a LAS file of these metres; None where the header that they were read with
-        says the same already.
+        says the same already, and ``as_wkt`` says it so.
         """
         kept = las is not None and self.are_metres and self.read.said_by == "header"
+        kept = kept and (not as_wkt or bool(las is not None and las.global_encoding.wkt))
         return None if kept else self.crs
 
     def keeps(self, crs: CRS | None, unit: Unit) -> bool:
