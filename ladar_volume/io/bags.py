@@ -165,6 +165,7 @@ class BagReader(Recording):
         try:
             self._reader = AnyReader([self._target()], default_typestore=TYPESTORE)
             self._reader.open()
+            self._check_numbers()
         except (AnyReaderError, Ros1Error, Ros2Error) as error:
             raise BagError(
                 f"{self.path}: not a readable recording: {short_repr(str(error))}",
@@ -184,6 +185,14 @@ class BagReader(Recording):
             raise BagError(
                 f"{self.path}: the recording holds no message", reason="bag_empty", value=str(path)
             )
+
+    def _check_numbers(self) -> None:
+        """Counts and times of metadata.yaml are whole numbers: the library takes what is there."""
+        counts = [c.msgcount for c in self._reader.connections]
+        times = [self._reader.start_time, self._reader.duration, self._reader.message_count]
+        for number in (*counts, *times):
+            if not isinstance(number, int):
+                raise TypeError(f"metadata.yaml has {number!r} for a count or a time")
 
     def _target(self) -> Path:
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():

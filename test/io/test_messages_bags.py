@@ -1,6 +1,7 @@
 """Fixes, attitudes and recordings: what is bad is refused by name."""
 
 import os
+import re
 from pathlib import Path
 from types import SimpleNamespace as Message
 
@@ -108,6 +109,20 @@ def test_recordings_round_trip_and_a_topic_of_the_wrong_kind_is_named(tmp_path):
         assert bag.topics()["chat"][1] == 10
     with pytest.raises(OutputError, match="exists already"):
         BagWriter(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("key", ["message_count", "nanoseconds", "nanoseconds_since_epoch"])
+@pytest.mark.parametrize("word", ["'12x'", "null", "1.5", "[]"])
+def test_a_number_of_the_metadata_that_is_none_is_refused(tmp_path, key, word):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write("chat", text("line"), 10**9)
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    lines = re.sub(rf"\b{key}: \d+", f"{key}: {word}", metadata.read_text())
+    assert lines != metadata.read_text()
+    metadata.write_text(lines)
+    with pytest.raises(BagError, match="damaged or not a recording") as caught:
+        BagReader(tmp_path / "bag")
+    assert caught.value.reason == "bag_format"
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
