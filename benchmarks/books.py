@@ -58,6 +58,26 @@ def open_steps(lines: Lines, restarted: frozenset[str]) -> list[str]:
     return out
 
 
+def open_inside(lines: Lines, returns_sent: int, unlike: frozenset[str]) -> list[str]:
+    """Nodes that have lost or won points between their input and their output, in words; those of
+    ``unlike`` are left out, since they did not hear all or began again.
+    """
+    out = []
+    if "georeference_node" not in unlike and "georeference_node" in lines:
+        node = "georeference_node"
+        lost = sum(number(lines, node, key) for key in lines[node] if key.startswith("lost_point_"))
+        after = number(lines, node, "sent_points") + number(lines, node, "returns_waiting") + lost
+        came = number(lines, node, "received_returns")
+        if not returns_sent == came == after:
+            out.append(f"{node}: {returns_sent} returns sent, {came} came, {after} went on or lost")
+    if "filter_node" not in unlike and "filter_node" in lines:
+        came = number(lines, "filter_node", "count_points")
+        offered = number(lines, "filter_node", "points_offered")
+        if came != offered:
+            out.append(f"filter_node: {came} points came, {offered} were offered to the surface")
+    return out
+
+
 def open_log(
     sent: Mapping[str, int], logged: Mapping[str, int], lost: Mapping[str, int]
 ) -> list[str]:

@@ -41,7 +41,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 
-from benchmarks.books import in_files, number, open_log, open_steps
+from benchmarks.books import in_files, number, open_inside, open_log, open_steps
 from benchmarks.footprint import cpu_seconds, proportional_mb, resident_mb
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
@@ -196,6 +196,7 @@ class Load(Node):
         self.unheard = dict.fromkeys(TYPES, 0)
         self.dropped = dict.fromkeys(TYPES, 0)
         self.hurt = dict.fromkeys(FAULTS, 0)
+        self.returns = 0
         self.lines: dict[str, dict[str, str]] = {}
         self.past: list[tuple[str, dict[str, str]]] = []
         self.warnings: dict[str, int] = {}
@@ -265,6 +266,9 @@ class Load(Node):
         if not self.heard(kind):  # the logger, or the node in question, is down
             self.unheard[kind] += 1
         self.sent[kind] += 1
+        if kind == "cloud":
+            message: Any = deserialize_message(data, PointCloud2)
+            self.returns += message.width * message.height
         if kind == "cloud" and fault != "lidar_stamps":
             self.flown.append((t_ns, time.monotonic()))
         self.out[kind].publish(stamped(data, t_ns))
@@ -360,10 +364,14 @@ class Soak:
         )
 
     def ready(self) -> None:
-        """Wait until all nodes report and hear the load."""
+        """Wait until all nodes report and hear the load, and volume_node has had the filter begin
+        anew: counters of before would not count what comes after.
+        """
         deadline = time.monotonic() + 300.0
-        while set(self._nodes) - set(self.load.lines) or not all(
-            self.load.heard(kind) for kind in TYPES
+        while (
+            set(self._nodes) - set(self.load.lines)
+            or not all(self.load.heard(kind) for kind in TYPES)
+            or number(self.load.lines, "volume_node", "joined") != 1
         ):
             if time.monotonic() > deadline or any(
                 p.poll() is not None for p in self.processes.values()
@@ -498,6 +506,10 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     restarted = frozenset(name for name, _ in load.past)
     if not load.hurt.get("all_clocks_back") and not soak.died:
         wrong += open_steps(load.lines, restarted)
+        deaf = load.total("georeference_node", "lost_message_") or any(load.unheard.values())
+        unlike = restarted | ({"georeference_node"} if deaf else set())
+        unlike |= {"filter_node"} if restarted else set()
+        wrong += open_inside(load.lines, load.returns, unlike)
     whole = number(load.lines, "logger_node", "deleted_files") == 0
     if soak.logged is not None and whole and not any(load.unheard.values()):
         sent = {TOPICS[kind]: n for kind, n in load.sent.items()}

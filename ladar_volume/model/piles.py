@@ -87,6 +87,10 @@ class Pile:
     material: Material | None = None
 
 
+#: A height that may be off by more is none, m.
+MOST_HEIGHT_SIGMA_M = 1e6
+
+
 @dataclass(frozen=True)
 class HeightError:
     """An error that neighbouring heights of one survey share.
@@ -100,9 +104,10 @@ class HeightError:
     correlation_m: float = math.inf
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.sigma_m < math.inf:
+        if not 0.0 <= self.sigma_m <= MOST_HEIGHT_SIGMA_M:
             raise ConfigurationError(
-                f"{self.name}: a standard deviation of {self.sigma_m:g} m: 0 or more",
+                f"{self.name}: a standard deviation of {self.sigma_m:g} m: "
+                f"from 0 to {MOST_HEIGHT_SIGMA_M:g}",
                 value=self.sigma_m,
             )
         if not self.correlation_m > 0.0:

@@ -210,6 +210,7 @@ class GeoreferenceNode(StageNode):
             "fix_clock_state": fix.state,
             "sweeps_overlapping": self.stage.sweeps.overlapping,
             "restarts": self.stage.restarts,
+            "received_returns": self._returns,
             "returns_waiting": self.stage.pending,
             **{f"sent_{k}": v for k, v in self.sent.items()},
             **self._checks.lines(),

@@ -32,7 +32,9 @@ def test_a_length_below_what_the_grid_holds_is_refused():
         shared_variances(xy, np.ones((2, 1)), HeightError("a", 1.0, 0.01))
 
 
-@pytest.mark.parametrize("values", [(-1.0, 3.0), (np.nan, 3.0), (0.1, 0.0), (0.1, np.nan)])
+@pytest.mark.parametrize(
+    "values", [(-1.0, 3.0), (1e200, 3.0), (np.nan, 3.0), (0.1, 0.0), (0.1, np.nan)]
+)
 def test_errors_that_are_none_are_refused(values):
     with pytest.raises(ConfigurationError):
         HeightError("a", *values)
