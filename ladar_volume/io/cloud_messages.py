@@ -39,6 +39,8 @@ class Cloud(Protocol):
     fields: Sequence[CloudField]
 
 
+#: Most points of one cloud: a sweep of the densest rotating scanners has 0.3 million.
+MOST_RETURNS = 4_000_000
 #: All fields that are read; drivers write many more.
 READ = frozenset(("x", "y", "z", *TIME_FIELDS, *RING_FIELDS, *INTENSITY_FIELDS))
 
@@ -101,11 +103,18 @@ def returns_from_points(
     Raises
     ------
     CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; reasons of
-        :func:`ladar_volume.io.drivers.return_times.return_times`; cloud_no_xyz, cloud_all_nan.
+        :func:`ladar_volume.io.drivers.return_times.return_times`; cloud_no_xyz, cloud_all_nan,
+        cloud_too_many.
     """
     columns = decode(message, READ)
     _check_scalars(columns)
     n = len(columns["x"])
+    if n > MOST_RETURNS:
+        raise CloudError(
+            f"{n} points in one cloud, a sweep has at most {MOST_RETURNS}: send one cloud a sweep",
+            reason="cloud_too_many",
+            value=n,
+        )
     layout = layout_of([str(f.name) for f in message.fields])
     r_laser = np.empty((n, 3))
     for i, axis in enumerate("xyz"):

@@ -168,6 +168,14 @@ BAD = {
 }
 
 
+def test_a_cloud_of_more_points_than_a_sweep_has_is_refused(monkeypatch):
+    monkeypatch.setattr("ladar_volume.io.cloud_messages.MOST_RETURNS", 6)
+    assert len(read(message(timed(6)))[0]) == 6
+    with pytest.raises(CloudError, match="7 points in one cloud") as caught:
+        read(message(timed(7)))
+    assert caught.value.reason == "cloud_too_many"
+
+
 @pytest.mark.parametrize("reason", BAD)
 def test_bad_clouds_are_refused_by_name_before_anything_is_allocated(reason):
     with pytest.raises(CloudError) as caught:

@@ -119,6 +119,12 @@ def test_what_makes_no_sense_is_refused(tmp_path, change, reason, words):
     refused(path, reason, words)
 
 
+def test_an_encoding_that_nobody_knows_is_refused(tmp_path):
+    head = '<?xml version="1.0" encoding="UTF-99999"?>'
+    path = land(tmp_path / "a.xml", [("one", definition())], head=head)
+    refused(path, "mesh_file_header", "unknown encoding")
+
+
 def test_entities_are_not_expanded(tmp_path):
     laughs = (
         '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a "1 1 1 ">'

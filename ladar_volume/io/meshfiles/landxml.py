@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from ladar_volume.model.errors import InputError
+from ladar_volume.model.errors import InputError, short_repr
 from ladar_volume.model.records import F64, I32
 
 #: Metres of a linear unit (LandXML 1.2, metLinear and impLinear), in lower case.
@@ -162,8 +162,9 @@ def scan(path: Path) -> Scan:
     try:
         with path.open("rb") as file:
             parser.ParseFile(file)
-    except expat.ExpatError as error:
-        raise invalid_surface(f"no well-formed XML: {error}", "mesh_file_header") from error
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two: its encoding
+        words = f"no well-formed XML: {short_repr(str(error))}"
+        raise invalid_surface(words, "mesh_file_header") from error
     return found
 
 
