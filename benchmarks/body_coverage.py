@@ -360,6 +360,58 @@ def on_wheels(rng: np.random.Generator) -> Scene:
     return scene(both(shell, floor), noise, (float(truth),), words, rng)
 
 
+def cup(rng: np.random.Generator) -> Scene:
+    """A cup of 0.6 m with a bottom, its wall 4 to 8 cm thick, seen from all sides."""
+    R, h, wall = 0.3, rng.uniform(0.5, 0.9), float(rng.choice([0.04, 0.06, 0.08]))
+    r = R - wall
+
+    def inside(n: int, g: np.random.Generator) -> Sample:
+        p, normal = pipe(n, g, r, wall, h)
+        return p, -normal
+
+    at = joined(
+        [
+            (2 * np.pi * R * h, lambda n, g: pipe(n, g, R, 0.0, h)),
+            (2 * np.pi * r * (h - wall), inside),
+            (np.pi * (R * R - r * r), lambda n, g: disc(n, g, r, R, h, 1.0)),
+            (np.pi * r * r, lambda n, g: disc(n, g, 0.0, r, wall, 1.0)),
+            (np.pi * R * R, lambda n, g: disc(n, g, 0.0, R, 0.0, -1.0)),
+        ],
+        15000,
+        rng,
+    )
+    truth = np.pi * (R * R * h - r * r * (h - wall))
+    noise = float(rng.choice([0.003, 0.005, 0.01]))
+    return scene(at, noise, (float(truth),), f"wall {100 * wall:.0f} cm", rng, stands=False)
+
+
+def car(rng: np.random.Generator) -> Scene:
+    """A car with a cabin, closed down to the ground, on a slope of up to 15 degrees, turned."""
+    a, b, h = rng.uniform(3.5, 4.8), rng.uniform(1.6, 1.9), rng.uniform(0.7, 0.9)
+    top, x0, x1 = h + rng.uniform(0.5, 0.7), rng.uniform(-0.3, -0.1) * a, rng.uniform(0.2, 0.35) * a
+    x, y, s = a / 2, b / 2, rng.uniform(0.3, 0.5)
+    side = [(-x, 0), (x, 0), (x, h), (x1 + s, h), (x1, top), (x0, top), (x0 - s, h), (-x, h)]
+    profile = np.array(side)
+    left, right = (np.c_[profile[:, 0], np.full(8, w), profile[:, 1]] for w in (-y, y))
+    # a profile is no convex polygon: its body and its cabin are sampled apart
+    faces = [left[[0, 1, 2, 7]], left[3:7], right[[7, 2, 1, 0]], right[3:7][::-1]]
+    faces += [np.array([left[i], right[i], right[i + 1], left[i + 1]]) for i in range(1, 7)]
+    faces += [np.array([left[7], right[7], right[0], left[0]])]
+    spacing = rng.uniform(0.03, 0.06)
+    area = 2 * area_of(profile) + b * np.linalg.norm(np.diff(profile[1:], axis=0), axis=1).sum()
+    shell = sample_polygons(faces, int((area + b * h) / spacing**2), rng)
+    floor = ground_around(
+        (a, a), int(4 * a * a / spacing**2), lambda q: (np.abs(q) < (x, y)).all(axis=1), rng
+    )
+    slope, turn = np.radians(rng.uniform(5.0, 15.0)), rng.uniform(0.0, 2 * np.pi)
+    c, d, e, f = np.cos(slope), np.sin(slope), np.cos(turn), np.sin(turn)
+    R = np.array([[1, 0, 0], [0, c, -d], [0, d, c]]) @ np.array([[e, -f, 0], [f, e, 0], [0, 0, 1]])
+    at, n = both(shell, floor)
+    noise = float(rng.choice([0.003, 0.005, 0.01]))
+    words = f"{a:.1f} m long, slope {np.degrees(slope):.0f} degrees"
+    return scene((at @ R.T, n @ R.T), noise, (float(b * area_of(profile)),), words, rng)
+
+
 KINDS: dict[str, Maker] = {
     "pile": pile,
     "sparse pile": sparse_pile,
@@ -374,6 +426,8 @@ KINDS: dict[str, Maker] = {
     "foot unseen": upright,
     "leaning, foot unseen": leaning,
     "on wheels": on_wheels,
+    "cup": cup,
+    "car on a slope": car,
 }
 
 

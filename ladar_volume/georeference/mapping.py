@@ -80,20 +80,21 @@ def _rotation(q: tuple[float, float, float, float]) -> Rows:
 @leaf_kernel
 def _antenna(path: PathWindow, j: int, t: int) -> Vector:
     """The antenna at a time from position j on, not after the next."""
-    pt, pp, pm, hermite = path.position_t, path.position, path.tangent, path.hermite
+    pt, pp, cubic = path.position_t, path.position, path.cubic
     x, y, z = pp[j, 0], pp[j, 1], pp[j, 2]
     if pt[j] != t:
         h = (pt[j + 1] - pt[j]) * 1e-9
         f = (t - pt[j]) / (pt[j + 1] - pt[j])
-        g = f * f * (3.0 - 2.0 * f) if hermite else f
+        g = f * f * (3.0 - 2.0 * f) if cubic else f
         x += g * (pp[j + 1, 0] - pp[j, 0])
         y += g * (pp[j + 1, 1] - pp[j, 1])
         z += g * (pp[j + 1, 2] - pp[j, 2])
-        if hermite:
+        if cubic:
+            m0, m1 = path.leaving, path.arriving
             g0, g1 = h * f * (1.0 - f) * (1.0 - f), h * f * f * (f - 1.0)
-            x += g0 * pm[j, 0] + g1 * pm[j + 1, 0]
-            y += g0 * pm[j, 1] + g1 * pm[j + 1, 1]
-            z += g0 * pm[j, 2] + g1 * pm[j + 1, 2]
+            x += g0 * m0[j, 0] + g1 * m1[j, 0]
+            y += g0 * m0[j, 1] + g1 * m1[j, 1]
+            z += g0 * m0[j, 2] + g1 * m1[j, 2]
     return x, y, z
 
 

@@ -29,8 +29,9 @@ class PathWindow(NamedTuple):
     """The knots around one cloud, as the mapping kernel takes them.
 
     state_t : (k,) ns, state_q : (k, 4) map from body, state_segment : (k,) with −1 for no state ·
-    position_t : (m,) ns, position : (m, 3) m and tangent : (m, 3) m/s of the antenna · hermite :
-    cubic instead of linear positions
+    position_t : (m,) ns and position : (m, 3) m of the antenna · leaving, arriving : (m, 3) m/s,
+    its velocities at the beginning and the end of the interval after each position · cubic :
+    positions are cubic with these velocities, else linear
     """
 
     state_t: I64
@@ -38,8 +39,9 @@ class PathWindow(NamedTuple):
     state_segment: I64
     position_t: I64
     position: F64
-    tangent: F64
-    hermite: bool
+    leaving: F64
+    arriving: F64
+    cubic: bool
 
 
 def tangents(t_ns: I64, p: F64, gap_id: I64) -> F64:
@@ -63,6 +65,30 @@ def tangents(t_ns: I64, p: F64, gap_id: I64) -> F64:
     return out
 
 
+def interval_velocities(t_ns: I64, p: F64, gap_id: I64, rule: str) -> tuple[F64, F64]:
+    """Velocities (n, 3) m/s at the beginning and the end of the interval after each of positions
+    (n, 3) m; those after the last one have no meaning.
+
+    rule : ``hermite``, the tangents of both positions · ``parabola``, of the parabola through both
+    and the one before, which needs no position of the future; the chord where none is before ·
+    ``linear``, zero, for positions that are not cubic
+    """
+    leaving, arriving = np.zeros_like(p), np.zeros_like(p)
+    if rule == "linear" or len(p) < 2:
+        return leaving, arriving
+    if rule == "hermite":
+        m = tangents(t_ns, p, gap_id)
+        return m, np.concatenate([m[1:], m[-1:]])
+    h = np.diff(t_ns)[:, None] * 1e-9
+    chord = np.diff(p, axis=0) / h
+    joined = (np.diff(gap_id) == 0)[:, None]
+    bend = np.zeros_like(chord)
+    turn = (chord[1:] - chord[:-1]) * (h[1:] / (h[1:] + h[:-1]))
+    bend[1:] = np.where(joined[:-1] & joined[1:], turn, 0.0)
+    leaving[:-1], arriving[:-1] = chord - bend, chord + bend
+    return leaving, arriving
+
+
 def interpolate_position(window: PathWindow, t_ns: I64, j: I64) -> tuple[F64, F64]:
     """Antenna position (n, 3) m and velocity (n, 3) m/s at times inside ``[position_t[j],
     position_t[j + 1]]``.
@@ -71,9 +97,9 @@ def interpolate_position(window: PathWindow, t_ns: I64, j: I64) -> tuple[F64, F6
     h = (t1 - t0)[:, None] * 1e-9
     f = ((t_ns - t0) / (t1 - t0))[:, None]
     p0, p1 = window.position[j], window.position[j + 1]
-    if not window.hermite:
+    if not window.cubic:
         return p0 + f * (p1 - p0), (p1 - p0) / h
-    m0, m1 = window.tangent[j] * h, window.tangent[j + 1] * h
+    m0, m1 = window.leaving[j] * h, window.arriving[j] * h
     f2, f3 = f * f, f * f * f
     p = p0 + (3 * f2 - 2 * f3) * (p1 - p0) + (f3 - 2 * f2 + f) * m0 + (f3 - f2) * m1
     v = ((6 * f - 6 * f2) * (p1 - p0) + (3 * f2 - 4 * f + 1) * m0 + (3 * f2 - 2 * f) * m1) / h
@@ -109,7 +135,8 @@ class Trajectory:
     def __init__(self, parameters: GeoreferenceParameters, lever_antenna: F64) -> None:
         self._position_gap_ns = round(parameters.max_position_gap_s * 1e9)
         self._attitude_gap_ns = round(parameters.max_attitude_gap_s * 1e9)
-        self._hermite = parameters.position_interpolation == "hermite"
+        self._interpolation = parameters.position_interpolation
+        self._hermite = self._interpolation == "hermite"  # needs a position more
         self._lever_antenna = lever_antenna
         # tag of a position: how many gaps lie before it; tag of an attitude: its segment, −1 until
         # it is a state
@@ -272,9 +299,10 @@ class Trajectory:
     def _position_window(self, lo: int, hi: int) -> PathWindow:
         part = slice(lo, hi)
         t, p = self._position.t_ns[part], self._position["p"][part]
-        m = tangents(t, p, self._position.tag[part]) if self._hermite else np.zeros_like(p)
+        ends = interval_velocities(t, p, self._position.tag[part], self._interpolation)
         empty = np.zeros(0, np.int64)
-        return PathWindow(empty, np.zeros((0, 4)), empty, t, p, m, self._hermite)
+        cubic = self._interpolation != "linear"
+        return PathWindow(empty, np.zeros((0, 4)), empty, t, p, *ends, cubic)
 
     def window(self, first_ns: int, last_ns: int) -> PathWindow:
         """The decided knots that cover times from ``first_ns`` to ``last_ns``, with one to spare on
@@ -290,12 +318,8 @@ class Trajectory:
             lo = max(int(np.searchsorted(self._position.t_ns, state_t[0], side="right")) - 2, 0)
             hi = int(np.searchsorted(self._position.t_ns, state_t[-1], side="right")) + 2
         path = self._position_window(lo, hi)
-        return PathWindow(
-            state_t,
-            self._attitude["q_map"][part],
-            self._attitude.tag[part],
-            path.position_t,
-            path.position,
-            path.tangent,
-            self._hermite,
+        return path._replace(
+            state_t=state_t,
+            state_q=self._attitude["q_map"][part],
+            state_segment=self._attitude.tag[part],
         )

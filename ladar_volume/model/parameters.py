@@ -159,7 +159,10 @@ class GeoreferenceParameters:
 
     pose_source: str = param("gnss_imu", "Where poses come from.", choices=("gnss_imu", "odometry"))
     position_interpolation: str = param(
-        "linear", "Antenna position between fixes.", choices=("linear", "hermite")
+        "parabola",
+        "Antenna position between fixes: on a chord; on the parabola through both and the fix "
+        "before; or cubic, for which a return waits for one fix more.",
+        choices=("linear", "parabola", "hermite"),
     )
     max_position_gap_s: float = param(
         0.6,

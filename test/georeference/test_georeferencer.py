@@ -136,7 +136,7 @@ def _run(parameters, events):
     return stage, stage.take_points(), stage.take_platform()
 
 
-@pytest.mark.parametrize("interpolation", ["linear", "hermite"])
+@pytest.mark.parametrize("interpolation", ["linear", "parabola", "hermite"])
 def test_points_and_states_are_the_closed_form(interpolation):
     parameters = _parameters(position_interpolation=interpolation)
     fixes, imus, clouds = _survey()
@@ -226,7 +226,7 @@ def _assert_same(a, b):
             np.testing.assert_array_equal(getattr(x, f.name), getattr(y, f.name))
 
 
-@pytest.mark.parametrize("interpolation", ["linear", "hermite"])
+@pytest.mark.parametrize("interpolation", ["linear", "parabola", "hermite"])
 def test_result_does_not_depend_on_interleaving(interpolation):
     parameters = _parameters(position_interpolation=interpolation)
     fixes, imus, clouds = _survey()
@@ -330,7 +330,9 @@ def test_no_extrapolation_at_either_end():
     )
 
 
-@pytest.mark.parametrize("interpolation,fixes_later", [("linear", 1), ("hermite", 2)])
+@pytest.mark.parametrize(
+    "interpolation,fixes_later", [("linear", 1), ("parabola", 1), ("hermite", 2)]
+)
 def test_a_return_waits_for_the_fixes_its_position_is_made_of_and_no_longer(
     interpolation, fixes_later
 ):

@@ -21,7 +21,7 @@ CALIBRATION = CalibrationParameters(
 SIGMAS = np.array([0.02, 3e-4, 4e-4])
 
 
-def _path(hermite, seed=0):
+def _path(rule, seed=0):
     rng = np.random.default_rng(seed)
     state_t = np.cumsum(rng.integers(4_000_000, 12_000_000, 200))
     q = Rotation.from_rotvec(np.cumsum(rng.normal(scale=0.05, size=(200, 3)), axis=0)).as_quat()
@@ -30,13 +30,13 @@ def _path(hermite, seed=0):
     position_t = np.arange(-1, 30) * 60_000_000
     p = np.cumsum(rng.normal(size=(31, 3)), axis=0)
     segment = np.repeat([0, 1, -1, 2], [60, 70, 10, 60])
-    m = trajectory.tangents(position_t, p, np.zeros(31, np.int64))
-    return PathWindow(state_t, q, segment, position_t, p, m, hermite)
+    ends = trajectory.interval_velocities(position_t, p, np.zeros(31, np.int64), rule)
+    return PathWindow(state_t, q, segment, position_t, p, *ends, rule != "linear")
 
 
-@pytest.mark.parametrize("hermite", [False, True])
-def test_kernel_equals_its_plain_twin(hermite):
-    path, rng = _path(hermite), np.random.default_rng(7)
+@pytest.mark.parametrize("rule", ["linear", "parabola", "hermite"])
+def test_kernel_equals_its_plain_twin(rule):
+    path, rng = _path(rule), np.random.default_rng(7)
     n = 5000
     t = rng.integers(path.state_t[0] - 50_000_000, path.state_t[-1] + 50_000_000, n)
     t[:200] = path.state_t
@@ -66,7 +66,7 @@ def test_kernel_equals_its_plain_twin(hermite):
 
 
 def test_no_states_no_pose():
-    none = PathWindow(*(knots[:0] for knots in _path(False)[:-1]), False)
+    none = PathWindow(*(knots[:0] for knots in _path("linear")[:-1]), False)
     args = (
         np.arange(5),
         np.ones((5, 3)),
@@ -89,6 +89,7 @@ def test_covariance_of_a_return_straight_ahead_is_the_closed_form():
         t,
         np.zeros((2, 3)),
         np.zeros((2, 3)),
+        np.zeros((2, 3)),
         False,
     )
     mount = mounting(CalibrationParameters())
@@ -107,7 +108,8 @@ def test_covariance_of_a_return_straight_ahead_is_the_closed_form():
     np.testing.assert_array_equal(got.r_map[0], [30.0, 0, 0])
 
 
-def test_hermite_reproduces_a_parabola_on_uneven_knots_and_linear_a_line():
+@pytest.mark.parametrize("rule", ["parabola", "hermite"])
+def test_a_parabola_on_uneven_knots_comes_back_and_linear_a_line(rule):
     t = np.array([0, 100, 230, 300, 420, 500], np.int64) * 1_000_000
     seconds = t[:, None] * 1e-9
     p = (
@@ -115,14 +117,14 @@ def test_hermite_reproduces_a_parabola_on_uneven_knots_and_linear_a_line():
         + seconds * np.array([4.0, -5, 6])
         + seconds**2 * np.array([7.0, 8, -9])
     )
-    m = trajectory.tangents(t, p, np.zeros(6, np.int64))
+    ends = trajectory.interval_velocities(t, p, np.zeros(6, np.int64), rule)
     empty = np.zeros(0, np.int64)
     query = (
         np.linspace(101, 419, 50).astype(np.int64) * 1_000_000
-    )  # inside, where both tangents come from three knots
+    )  # inside, where both ends have three knots
     j = np.searchsorted(t, query, side="right") - 1
     s = query[:, None] * 1e-9
-    window = PathWindow(empty, np.zeros((0, 4)), empty, t, p, m, True)
+    window = PathWindow(empty, np.zeros((0, 4)), empty, t, p, *ends, True)
     got, velocity = trajectory.interpolate_position(window, query, j)
     np.testing.assert_allclose(
         got,
@@ -132,7 +134,9 @@ def test_hermite_reproduces_a_parabola_on_uneven_knots_and_linear_a_line():
     np.testing.assert_allclose(
         velocity, np.array([4.0, -5, 6]) + 2 * s * np.array([7.0, 8, -9]), atol=1e-10
     )
-    line = PathWindow(empty, np.zeros((0, 4)), empty, t, seconds * np.array([1.0, 2, 3]), m, False)
+    line = PathWindow(
+        empty, np.zeros((0, 4)), empty, t, seconds * np.array([1.0, 2, 3]), *ends, False
+    )
     got, velocity = trajectory.interpolate_position(line, query, j)
     np.testing.assert_allclose(got, s * np.array([1.0, 2, 3]), atol=1e-14)
     np.testing.assert_allclose(velocity, np.tile([1.0, 2, 3], (50, 1)), rtol=1e-12)
@@ -143,3 +147,28 @@ def test_tangents_do_not_reach_across_a_gap():
     p = np.array([[0.0], [1], [4], [100], [107]]) * np.ones(3)
     np.testing.assert_allclose(trajectory.tangents(t, p, gap)[:, 0], [1, 2, 3, 7, 7], rtol=1e-12)
     assert trajectory.tangents(t[:1], p[:1], gap[:1]).shape == (1, 3)
+
+
+def test_a_path_round_a_body_is_not_drawn_inwards():
+    """Chords of a circle lie inside it: on the mean by h² / 12 of the acceleration, towards what is
+    driven round. The parabola through the fix before does not; where none is, at the first interval
+    and after a gap, the chord stays.
+    """
+    t = np.arange(40) * 100_000_000
+    radius, turn = 5.0, 0.5  # m, rad/s
+    angle = turn * t * 1e-9
+    p = radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    gap = (np.arange(40) >= 20).astype(np.int64)
+    query = np.arange(1, 390) * 10_000_000
+    j = np.searchsorted(t, query, side="right") - 1
+    empty, off = np.zeros(0, np.int64), {}
+    for rule in ("linear", "parabola"):
+        ends = trajectory.interval_velocities(t, p, gap, rule)
+        window = PathWindow(empty, np.zeros((0, 4)), empty, t, p, *ends, rule != "linear")
+        at, _ = trajectory.interpolate_position(window, query, j)
+        off[rule] = np.linalg.norm(at, axis=1) - radius
+    whole = (j != 19) & (j != 20) & (j > 0)  # the gap, and where no fix is before
+    assert off["linear"][whole].mean() == pytest.approx(-radius * turn**2 * 0.01 / 12.0, rel=0.02)
+    assert np.abs(off["parabola"][whole]).max() < 1e-6
+    chords = (j == 0) | (j == 20)
+    np.testing.assert_allclose(off["parabola"][chords], off["linear"][chords], atol=1e-12)

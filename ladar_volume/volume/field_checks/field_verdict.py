@@ -39,7 +39,12 @@ from ladar_volume.volume.field_checks.gaps import (
     gap_doubts,
 )
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
-from ladar_volume.volume.field_checks.steep_faces import edge_doubts, steep_faces, wall_m6
+from ladar_volume.volume.field_checks.steep_faces import (
+    NEGLIGIBLE,
+    edge_doubts,
+    steep_faces,
+    wall_m6,
+)
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
 #: Height of what grows, over its scatter.
@@ -257,7 +262,7 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     if any(doubt.name in ("wall", "object") for doubt in volume.verdict.doubts):
         return with_line(volume, "wall", wall_m6(tin, part))
     found = steep_faces(tin, part, on_face)
-    if found is None:
+    if found is None or found.sigma_m3 < NEGLIGIBLE * volume.sigma_m3:
         return volume
     if kind == "surface":  # closed bodies have walls of their own
         doubts = Verdict(tuple(edge_doubts(found, volume.volume_m3, volume.sigma_m3)))

@@ -25,6 +25,8 @@ FACE = 0.64
 WALL_M = 0.25
 #: The doubt: so many times all else, and more than this share of the volume.
 TIMES, SHARE = 3.0, 0.005
+#: Less than this share of all else is no line: single slivers at a toe.
+NEGLIGIBLE = 0.01
 
 
 class SteepFaces(NamedTuple):
