@@ -22,7 +22,7 @@ from ladar_volume.georeference.mapping import (
     region_box,
     vehicle_box,
 )
-from ladar_volume.georeference.trajectory import PathWindow, tangents
+from ladar_volume.georeference.trajectory import PathWindow, interval_velocities
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Fix, ImuSample, Returns
 
@@ -69,8 +69,8 @@ def _window(cloud: Returns) -> PathWindow:
         np.zeros(24, np.int64),
         position_t,
         p,
-        tangents(position_t, p, np.zeros(6, np.int64)),
-        False,
+        *interval_velocities(position_t, p, np.zeros(6, np.int64), "parabola"),
+        True,
     )
 
 

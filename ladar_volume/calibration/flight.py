@@ -150,13 +150,15 @@ def remap_returns(
     R = matrix_from_quaternion(states.q_map_body)
     antenna = states.p_map_body + R @ flight.mount.lever_antenna
     moved = dataclasses.replace(states, p_map_body=antenna - R @ mount.lever_antenna)
+    still = np.zeros_like(antenna)  # the velocities of linear positions are not asked
     path = PathWindow(
         states.t_ns,
         states.q_map_body,
         states.segment,
         states.t_ns,
         antenna,
-        np.zeros_like(antenna),
+        still,
+        still,
         False,
     )
     t_ns = flight.t_ns + mount.clock_ns

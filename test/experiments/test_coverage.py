@@ -448,7 +448,7 @@ def test_a_survey_that_is_refused_is_counted(monkeypatch):
         return measure_survey(site, drawn, believed, seed)
 
     monkeypatch.setitem(SITES, "pit", dataclasses.replace(PIT, pulses=500))
-    monkeypatch.setattr(coverage, "measured", measured_but)
+    monkeypatch.setattr(coverage, "measure_survey", measured_but)
     rows = [coverage.do(coverage.Task("pit", "all", seed)) for seed in (1, 2, 3, 4)]
     assert [r.get("refused") for r in rows] == ["a gap", None, "a gap", None]
     found = coverage.summary(rows, ["pit"])
