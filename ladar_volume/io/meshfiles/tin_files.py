@@ -58,9 +58,8 @@ def write_tin(
     vertex = np.empty(len(used), [(name, c.dtype.newbyteorder("<")) for name, c in columns.items()])
     for name, c in columns.items():
         vertex[name] = c
-    face = np.empty(
-        len(triangles), [("n", "u1"), ("v", "<i4", 3)] + ([("relevant", "u1")] if every else [])
-    )
+    marked = [("relevant", "u1")] if every else []
+    face = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", 3), *marked])
     face["n"], face["v"] = 3, inverse.reshape(-1, 3)
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {n}" for n in notes)]
     lines.append(f"element vertex {len(vertex)}")
