@@ -1,7 +1,8 @@
 """Ctrl-C on ``ros2 launch`` at random moments under load: four nodes and a player, a process each,
 are signalled at once, in any order, while a survey plays faster than it was flown. Each must end by
 itself; the log must open with ``mcap`` and ``rosbags`` and lack nothing that its account names; and
-a volume that volume_node calls the one "at the end" must be that of the log, replayed.
+a volume that volume_node calls the one "at the end" must be that of the log, replayed, unless the
+player went on after georeference_node had ended and the replay says how much more the log has.
 
 ``python -m benchmarks.ctrl_c [--runs N] [--seed N]``
 """
@@ -129,8 +130,10 @@ def interrupted(
     return {"said": said, "codes": codes, "delay_s": delay, "took_s": time.monotonic() - began}
 
 
-def replayed(log: Path, config: Path, folder: Path) -> float | None:
-    """The volume of the log, m³; None where it has none."""
+def replayed(log: Path, config: Path, folder: Path) -> tuple[float | None, dict[str, int]]:
+    """The volume of the log, m³, None where it has none; and what the log has beyond what the nodes
+    had heard, by role.
+    """
     words = ["replay", str(log), "--config", str(config), "--json", "--no-figure"]
     done = subprocess.run(
         [sys.executable, "-m", "ladar_volume.cli.main", *words, "-o", str(folder)],
@@ -138,7 +141,10 @@ def replayed(log: Path, config: Path, folder: Path) -> float | None:
         capture_output=True,
         text=True,
     )
-    return float(json.loads(done.stdout)["volume_m3"]) if done.returncode == 0 else None
+    if done.returncode != 0:
+        return None, {}
+    result = json.loads(done.stdout)
+    return float(result["volume_m3"]), dict(result["input"].get("more_than_live", {}))
 
 
 def complete(log: Path) -> str:
@@ -174,16 +180,18 @@ def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
         end = re.search(r"volume at the end: ([\d.]+) m3", run["said"]["volume_node"])
         incomplete = "incomplete volume" in run["said"]["volume_node"]
         run |= {"log": complete(log), "end": float(end[1]) if end else None}
-        run["replay"] = replayed(log, bag / "config.yaml", folder / "out") if end else None
-        run["wrong"] = end is not None and (
-            run["replay"] is None or abs(run["replay"] - run["end"]) > PRINTED_M3
+        run["replay"], run["more"] = (
+            replayed(log, bag / "config.yaml", folder / "out") if end else (None, {})
         )
+        other = run["replay"] is None or abs(run["replay"] - run["end"]) > PRINTED_M3
+        run["wrong"] = end is not None and other and not run["more"]
         found.append(run)
         words = f"end {run['end']}, replay {run['replay']}" if end else "incomplete" * incomplete
         print(
             f"{n + 1}: signal after {run['delay_s']:.2f} s, ended in {run['took_s']:.1f} s, "
             f"codes {sorted(set(run['codes'].values()))}, log {run['log'] or 'complete'}, "
-            f"{words or 'no volume'}{' WRONG' if run['wrong'] else ''}",
+            f"{words or 'no volume'}{f', log has more: {more}' if (more := run['more']) else ''}"
+            f"{' WRONG' if run['wrong'] else ''}",
             flush=True,
         )
     return found

@@ -17,7 +17,7 @@ from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.frames.frame_mounting import mounting_of_recording
 from ladar_volume.io.frames.moving_frames import TransformPoses
-from ladar_volume.io.logs.heard_live import missing_messages
+from ladar_volume.io.logs.heard_live import heard_and_logged, missing_messages, more_than_live
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -265,10 +265,13 @@ class Replay:
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
             source |= {"poses_height": self.poses.height_reference}
+        counted = heard_and_logged(self.bag, self.topics)
+        if more := more_than_live(counted):
+            source["more_than_live"] = more
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
-        doubts = self.height_doubts() + missing_messages(self.bag, self.topics)
+        doubts = self.height_doubts() + missing_messages(counted)
         result["verdict"] = results.with_doubts(result["verdict"], doubts)
         if self.convergence:
             result["convergence"] = [

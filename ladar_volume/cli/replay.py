@@ -20,6 +20,7 @@ from ladar_volume.io import results
 from ladar_volume.io.bags import wanted_topics
 from ladar_volume.io.config import read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
+from ladar_volume.io.logs.heard_live import in_words
 from ladar_volume.io.meshfiles.body_mesh import write_bodies
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
@@ -52,6 +53,11 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show_result(console, result)
         show_bodies(console, result.get("closed_bodies", []))
+        if more := result["input"].get("more_than_live"):
+            console.print(
+                f"the log has {in_words(more)} more than georeference_node had heard: this volume "
+                "is of more data than the live one"
+            )
         console.print(
             f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x "
             f"real time; written to {arguments.output}/"

@@ -3,7 +3,12 @@
 import pytest
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
-from ladar_volume.io.logs.heard_live import missing_messages
+from ladar_volume.io.logs.heard_live import (
+    heard_and_logged,
+    in_words,
+    missing_messages,
+    more_than_live,
+)
 
 T = TYPESTORE.types
 NANO = 10**9
@@ -47,12 +52,15 @@ def test_a_log_is_compared_with_the_last_report_of_the_node_that_heard(tmp_path,
         tmp_path / "log", reports, {"velodyne_points": (CLOUD, clouds), "imu/data": (IMU, imus)}
     )
     with BagReader(path) as bag:
-        found = missing_messages(bag, TOPICS)
+        counted = heard_and_logged(bag, TOPICS)
+    found, more = missing_messages(counted), more_than_live(counted)
     if clouds < 10:
         (doubt,) = found.doubts
         assert "3 of 10 clouds and 5 of 100 attitudes" in doubt.text and doubt.value == 5.0
     else:
         assert found.sound
+    assert more == ({"cloud": 2} if clouds == 12 else {})
+    assert in_words({"cloud": 2, "imu": 5}) == "2 clouds and 5 attitudes"
 
 
 def test_of_several_vehicles_the_one_of_the_namespace_counts(tmp_path):
@@ -61,8 +69,10 @@ def test_of_several_vehicles_the_one_of_the_namespace_counts(tmp_path):
     with BagReader(log(tmp_path / "log", reports, topics)) as bag:
         assert (
             "1 of 5 clouds"
-            in missing_messages(bag, {"cloud": "rover1/velodyne_points"}).doubts[0].text
+            in missing_messages(heard_and_logged(bag, {"cloud": "rover1/velodyne_points"}))
+            .doubts[0]
+            .text
         )
-        assert missing_messages(bag, {"cloud": "other/points"}).sound  # nobody's
+        assert missing_messages(heard_and_logged(bag, {"cloud": "other/points"})).sound  # nobody's
     with BagReader(log(tmp_path / "none", [], topics)) as bag:
-        assert missing_messages(bag, {"cloud": "rover1/velodyne_points"}).sound
+        assert missing_messages(heard_and_logged(bag, {"cloud": "rover1/velodyne_points"})).sound

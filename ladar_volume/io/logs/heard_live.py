@@ -45,25 +45,36 @@ def counts_of_node(
     return counts.get(f"{space}/{NODE}".lstrip("/"), {})
 
 
-def missing_messages(bag: Recording, topics: Mapping[str, str]) -> Verdict:
-    """A doubt where the log has fewer messages of a role than the node had received live. topics :
-    by role.
+def heard_and_logged(bag: Recording, topics: Mapping[str, str]) -> dict[str, tuple[int, int]]:
+    """By role: how many messages georeference_node had received by its last report, and how many
+    the log has. Empty for a log without reports. topics : by role.
     """
     try:
         heard = counts_of_node(live_counts(bag), topics)
     except BagError:  # torn: its reader says so where it reads the sensors
-        return Verdict()
+        return {}
     there = bag.topics()
-    words, most = [], 0
-    for role, topic in topics.items():
-        missing = heard.get(role, 0) - there[topic][1]
-        if missing > 0:
-            words.append(f"{missing} of {heard[role]} {UNITS[role]}")
-            most = max(most, missing)
-    if not words:
+    return {role: (heard[role], there[topic][1]) for role, topic in topics.items() if role in heard}
+
+
+def in_words(counts: Mapping[str, int]) -> str:
+    """``3 clouds and 5 attitudes``."""
+    return " and ".join(f"{n} {UNITS[role]}" for role, n in counts.items())
+
+
+def more_than_live(counted: Mapping[str, tuple[int, int]]) -> dict[str, int]:
+    """By role, the messages that the log has beyond those that the node had received."""
+    return {role: there - heard for role, (heard, there) in counted.items() if there > heard}
+
+
+def missing_messages(counted: Mapping[str, tuple[int, int]]) -> Verdict:
+    """A doubt where the log has fewer messages of a role than the node had received live."""
+    lacks = {role: n for role, n in counted.items() if n[0] > n[1]}
+    if not lacks:
         return Verdict()
+    words = " and ".join(f"{h - n} of {h} {UNITS[role]}" for role, (h, n) in lacks.items())
     text = (
-        f"the log lacks {' and '.join(words)} that {NODE} had live, so that this volume is not the "
-        "live one: start the log before the drivers, or give all files of the log"
+        f"the log lacks {words} that {NODE} had live, so that this volume is not the live one: "
+        "start the log before the drivers, or give all files of the log"
     )
-    return Verdict((Doubt("log_incomplete", text, float(most)),))
+    return Verdict((Doubt("log_incomplete", text, float(max(h - n for h, n in lacks.values()))),))
