@@ -247,14 +247,9 @@ class Replay:
         )
         return Verdict((Doubt("height_reference", words, p.georeference.datum_height_m),))
 
-    def result(self, estimate: Estimate) -> dict[str, Any]:
-        """The result as plain values."""
-        points = {
-            "returns": self.returns,
-            "mapped": self.engine.points_mapped,
-            **(self.engine.filter.stats if self.counts is None else self.counts),
-        }
-        source = {
+    def _source(self, more: dict[str, int]) -> dict[str, Any]:
+        """What was replayed. more : messages by role beyond those that were heard live."""
+        source: dict[str, Any] = {
             "path": self.bag.path.name,
             "sha256": self.bag.digest(),
             "duration_s": self.bag.duration_s,
@@ -265,9 +260,17 @@ class Replay:
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
             source |= {"poses_height": self.poses.height_reference}
+        return source | ({"more_than_live": more} if more else {})
+
+    def result(self, estimate: Estimate) -> dict[str, Any]:
+        """The result as plain values."""
+        points = {
+            "returns": self.returns,
+            "mapped": self.engine.points_mapped,
+            **(self.engine.filter.stats if self.counts is None else self.counts),
+        }
         counted = heard_and_logged(self.bag, self.topics)
-        if more := more_than_live(counted):
-            source["more_than_live"] = more
+        source = self._source(more_than_live(counted))
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
