@@ -90,6 +90,15 @@ def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses:
     return select(returns, keep)
 
 
+def _check_count(n: int) -> None:
+    if n > MOST_RETURNS:
+        raise CloudError(
+            f"{n} points in one cloud, a sweep has at most {MOST_RETURNS}: send one cloud a sweep",
+            reason="cloud_too_many",
+            value=n,
+        )
+
+
 def returns_from_points(
     message: Cloud, parameters: GeoreferenceParameters, losses: Losses
 ) -> Returns:
@@ -109,12 +118,7 @@ def returns_from_points(
     columns = decode(message, READ)
     _check_scalars(columns)
     n = len(columns["x"])
-    if n > MOST_RETURNS:
-        raise CloudError(
-            f"{n} points in one cloud, a sweep has at most {MOST_RETURNS}: send one cloud a sweep",
-            reason="cloud_too_many",
-            value=n,
-        )
+    _check_count(n)
     layout = layout_of([str(f.name) for f in message.fields])
     r_laser = np.empty((n, 3))
     for i, axis in enumerate("xyz"):
