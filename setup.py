@@ -39,6 +39,7 @@ EXTRAS = {
     "geo": ["rasterio>=1.3", "ezdxf>=1.1", "pye57>=0.4.1", "pyogrio>=0.7", "shapely>=2.0"],
     "frames": ["geopandas>=1.0", "xarray>=2024.1"],  # answers as their tables and rasters
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
+    "foxglove": ["foxglove-sdk>=0.30"],  # `up --foxglove`
     "scale": ["dask>=2024.1", "distributed>=2024.1", "pyarrow>=15"],
     "completion": ["shtab>=1.7"],
     "velodyne": ["velodyne-decoder>=3.1"],  # packets: VelodyneScan and captures

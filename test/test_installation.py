@@ -29,6 +29,7 @@ KEYS = {
     "jinja2": "python3-jinja2",
     "starlette": "",
     "uvicorn": "",
+    "foxglove-sdk": "",
     "shtab": "",
     "rasterio": "",
     "ezdxf": "",

@@ -34,6 +34,7 @@ from ladar_volume.process.numpy_names import hide_numpy_tools
 if TYPE_CHECKING:  # ROS is loaded where the graph begins
     from ladar_volume.nodes.graph import Graph
     from ladar_volume.page.feed import Feed
+    from ladar_volume.page.foxglove_live import LiveTopics
 
 #: Folder of what volume_node saves, in the scratch folder.
 SAVED = "saved"
@@ -133,7 +134,7 @@ def graph_result(
     # the only way to ROS from here, paid for only by this verb
     from ladar_volume.nodes.graph import Graph
 
-    with page_of(arguments, console) as feed:
+    with page_of(arguments, console) as feed, foxglove_of(arguments, console) as live:
         effective = scratch / "parameters.yaml"
         effective.write_text(dump_config(nodes_own), encoding="utf-8")
         graph = Graph(
@@ -144,8 +145,7 @@ def graph_result(
             ros_arguments(arguments),
         )
         try:
-            if feed is not None:
-                graph.show(feed)
+            graph.show(feed, live)
             graph.wait_ready()
             if arguments.play is None:
                 run_live(graph, console)
@@ -171,6 +171,24 @@ def page_of(arguments: argparse.Namespace, console: Console) -> Iterator[Feed | 
     with serve_page(feed, address_of(arguments.page, arguments.page_token)) as address:
         console.print(f"page: {address.url}", soft_wrap=True, markup=False)
         yield feed
+
+
+@contextlib.contextmanager
+def foxglove_of(arguments: argparse.Namespace, console: Console) -> Iterator[LiveTopics | None]:
+    """The topics for Foxglove, served while the block runs; None where that is not asked for."""
+    if arguments.foxglove is None:
+        yield None
+        return
+    from ladar_volume.page.foxglove_live import LiveTopics, serve_topics
+    from ladar_volume.page.place import place_of
+
+    live, place = LiveTopics(), place_of(arguments.foxglove, "--foxglove")
+    with serve_topics(live, place) as port:
+        host = f"[{place.host}]" if ":" in place.host else place.host
+        console.print(f"Foxglove: open connection ws://{host}:{port}", markup=False)
+        if not place.own:
+            console.print("others in this network may look on: Foxglove's protocol has no token")
+        yield live
 
 
 def run_live(graph: Graph, console: Console) -> NoReturn:

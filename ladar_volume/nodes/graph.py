@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,13 +28,16 @@ from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
-from ladar_volume.nodes.page_node import PageNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
+from ladar_volume.nodes.viewers.page_node import PageNode
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.nodes.watch.first_start import compilation_reports
 from ladar_volume.nodes.watch.upstream_nodes import own_name
 from ladar_volume.page.feed import Feed
+
+if TYPE_CHECKING:
+    from ladar_volume.page.foxglove_live import LiveTopics
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode,
@@ -189,9 +192,14 @@ class Graph:
             if not started:
                 raise ConfigurationError(f"{name}: {node.failure}")
 
-    def show(self, feed: Feed) -> None:
-        """Keep the page in the field up to date."""
-        self._add(PageNode(feed))
+    def show(self, feed: Feed | None, live: LiveTopics | None) -> None:
+        """Keep the page in the field up to date, and hand the topics on to Foxglove."""
+        if feed is not None:
+            self._add(PageNode(feed))
+        if live is not None:
+            from ladar_volume.nodes.viewers.foxglove_node import FoxgloveNode  # an extra
+
+            self._add(FoxgloveNode(live))
 
     def check(self) -> None:
         """Raises VolumeError where a process has ended that should not have."""

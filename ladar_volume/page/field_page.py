@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
-import ipaddress
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -28,6 +27,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.page.feed import Feed
+from ladar_volume.page.place import place_of
 
 PAGE = Path(__file__).with_name("page.html")
 #: How often the stream looks for a change, and says that it is alive, s.
@@ -83,26 +83,17 @@ class Address:
 
 
 def address_of(text: str, token: str | None) -> Address:
-    """``PORT``, ``HOST:PORT`` or ``[HOST]:PORT`` with an IP address as host. Raises
-    :class:`ConfigurationError`: any address but loopback needs a token.
+    """The address of the page. Raises :class:`ConfigurationError`: any but loopback needs a
+    token.
     """
-    host, _, port = text.rpartition(":")
-    host = host.strip("[]") or "127.0.0.1"
-    try:
-        number, ip = int(port), ipaddress.ip_address(host)
-    except ValueError as error:
-        raise ConfigurationError(
-            f"--page {text}: PORT, or ADDRESS:PORT with an IP address", value=text
-        ) from error
-    if not 0 <= number < 65536:
-        raise ConfigurationError(f"--page {text}: a port is from 0 to 65535", value=text)
+    place = place_of(text, "--page")
     if token is not None and (len(token) < TOKEN or not token.isalnum() or not token.isascii()):
         raise ConfigurationError(f"--page-token: at least {TOKEN} letters and digits")
-    if not ip.is_loopback and token is None:
+    if not place.own and token is None:
         raise ConfigurationError(
             f"--page {text}: others can reach this address: give --page-token", value=text
         )
-    return Address(host, number, token or "")
+    return Address(place.host, place.port, token or "")
 
 
 def app_of(feed: Feed, address: Address, ending: threading.Event) -> Starlette:

@@ -106,13 +106,20 @@ def test_rooms_called_like_verbs_stay_rooms():
 
 def test_file_verbs_run_without_ros_and_without_locks_of_unix(cone, tmp_path):
     absent = ("fcntl", "termios", "tty", "rclpy", "rosbags", "mcap", "open3d", "pymavlink")
-    absent += ("matplotlib", "zstandard", "jinja2", "starlette")
+    absent += ("matplotlib", "zstandard", "jinja2", "starlette", "foxglove", "rasterio", "pwd")
+    absent += ("grp", "resource", "ament_index_python", "pyogrio", "shapely", "dask", "pyarrow")
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
         "from ladar_volume.cli.main import main\n"
         f"cloud, out = {str(cone)!r}, {str(tmp_path / 'f.ply')!r}\n"
+        f"laz, mesh = {str(tmp_path / 'f.copc.laz')!r}, {str(tmp_path / 'm.ply')!r}\n"
         "assert main(['filter', cloud, '-o', out, '--radius', '0.8']) == 0\n"
         "assert main(['volume', out, '--level', '0.5']) == 0\n"
+        "assert main(['filter', cloud, '-o', laz, '--radius', '0.8']) == 0\n"
+        "assert main(['volume', laz, '--base', 'ground']) == 0\n"
+        "assert main(['volume', laz, cloud]) == 0\n"
+        "assert main(['tin', laz, '-o', mesh]) == 0\n"
+        "assert main(['volume', mesh, '--level', '0.5', '-o', mesh + '.files']) == 0\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=120)
 

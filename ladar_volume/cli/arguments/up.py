@@ -29,6 +29,20 @@ def add_parser(subparsers: Verbs) -> None:
     )
     parser.add_argument("--log", type=Path, help="MCAP file to log inputs and results to")
     parser.add_argument("--log-all", action="store_true", help="log also what is derived: large")
+    _add_viewers(parser)
+    parser.add_argument(
+        "--ros-args",
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar="...",
+        help="remappings and the like for all nodes; last on the line",
+    )
+    add_common(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.up"))
+
+
+def _add_viewers(parser: argparse.ArgumentParser) -> None:
+    """What shows the survey while it runs."""
     parser.add_argument(
         "--page",
         nargs="?",
@@ -40,11 +54,9 @@ def add_parser(subparsers: Verbs) -> None:
         "--page-token", metavar="TOKEN", help="needed where others can reach the page's address"
     )
     parser.add_argument(
-        "--ros-args",
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar="...",
-        help="remappings and the like for all nodes; last on the line",
+        "--foxglove",
+        nargs="?",
+        const="8765",
+        metavar="[ADDRESS:]PORT",
+        help="hand mesh, volume, sigma and points to Foxglove (default 127.0.0.1:8765)",
     )
-    add_common(parser)
-    parser.set_defaults(run=work("ladar_volume.cli.up"))
