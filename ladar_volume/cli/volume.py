@@ -22,6 +22,7 @@ from ladar_volume.cli.outputs.cloud_files_out import (
     write_files,
 )
 from ladar_volume.cli.outputs.file_choice import show_written
+from ladar_volume.cli.scale.workers import check_workers
 from ladar_volume.cli.site.pile_results import (
     common_material,
     error_facts,
@@ -144,6 +145,11 @@ class JudgedVolume:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, compute, print."""
+    if (arguments.tile, arguments.dask) != (None, None):
+        from ladar_volume.cli.scale.tiles import run_volume  # with tiles
+
+        return run_volume(arguments)
+    check_workers(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
         task, wanted = task_of(arguments), wanted_files(arguments)

@@ -131,15 +131,27 @@ def inverse_root(X: F64, degree: int) -> F64:
     surface.
     """
     square = X.T @ X
+    found = root_of_products(len(X), square, degree)
+    if found is not None:
+        return found
     scale = column_scale(len(X), square, degree)
+    R: F64 = np.asarray(np.linalg.qr(X / scale, mode="r"))
+    check_rank(R, degree)
+    out: F64 = np.linalg.solve(R, np.eye(len(R))) / scale[:, None]
+    return out
+
+
+def root_of_products(count: int, square: F64, degree: int) -> F64 | None:
+    """:func:`inverse_root` from the products ``XᵀX`` (p, p) of ``count`` rows; None where these
+    have too few digits.
+    """
+    scale = column_scale(count, square, degree)
     try:
         R: F64 = np.asarray(np.linalg.cholesky(square / np.outer(scale, scale)).T, np.float64)
-        digits = float(R.diagonal().min())
     except np.linalg.LinAlgError:
-        digits = 0.0
-    if not digits > FIXED:
-        R = np.asarray(np.linalg.qr(X / scale, mode="r"))
-        check_rank(R, degree)
+        return None
+    if not float(R.diagonal().min()) > FIXED:
+        return None
     out: F64 = np.linalg.solve(R, np.eye(len(R))) / scale[:, None]
     return out
 

@@ -145,16 +145,16 @@ def fit_ground(
         else np.asarray(select, dtype=np.int64)
     )
     p = points[chosen]
-    _check_points(p, variance[chosen], parameters.degree)
+    check_points(p, variance[chosen], parameters.degree)
     step = max(1, len(p) // SEARCHED_POINTS)
-    plane = _search(p[::step], variance[chosen][::step], parameters, coarse_m)
+    plane = search_surface(p[::step], variance[chosen][::step], parameters, coarse_m)
     if step > 1:
         plane = refine(p, variance[chosen], plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
     check_surface(p, variance[chosen], plane, parameters)
     return dataclasses.replace(plane, support=chosen[plane.support])
 
 
-def _check_points(p: F64, variance: F64, degree: int) -> None:
+def check_points(p: F64, variance: F64, degree: int) -> None:
     """Refuses too few points (n, 3) for a surface of a degree, and what is not finite."""
     needed = COEFFICIENTS[degree]
     if len(p) < needed:
@@ -171,7 +171,7 @@ def _check_points(p: F64, variance: F64, degree: int) -> None:
         )
 
 
-def _search(p: F64, variance: F64, parameters: GroundParameters, coarse_m: float) -> Plane:
+def search_surface(p: F64, variance: F64, parameters: GroundParameters, coarse_m: float) -> Plane:
     """Random search and refinement. Where no threshold is given and the result is thicker than the
     one of the search, the surface may lie across steps or have grown into the clutter: finer
     thresholds are tried, then fixed ones. The first result stands if nothing helps: rough ground.
@@ -224,9 +224,16 @@ def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundPa
             return  # it grows into what is too steep to be ground
     inside = points.take(grown.support, axis=0)
     off = inside - [c.mean() for c in inside.T]
-    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(off.T @ off / len(off)), 0.0))
+    check_spread(off.T @ off / len(off), grown.rms_m)
+
+
+def check_spread(covariance: F64, rms_m: float) -> None:
+    """Refuse a surface whose points, with covariance (3, 3) m² and residuals of ``rms_m``, are
+    scattered about it as far as across it.
+    """
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     # a level does not follow a slope: its residuals are no thickness
-    thick, wide = min(grown.rms_m, float(spread[0])), float(spread[1])
+    thick, wide = min(rms_m, float(spread[0])), float(spread[1])
     if wide < WIDE * thick:
         raise GroundError(
             f"the points show no ground, they scatter by {thick:.3g} m about a surface "

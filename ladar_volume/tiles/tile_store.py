@@ -1,9 +1,10 @@
 """A point cloud file as square tiles on disk.
 
 The file is read in parts of so many points. Each part becomes one archive of arrays, a tile's
-points (k, 3) float64, m, in file order under the tile's name, written whole or not at all: a run
-that was interrupted goes on with the parts that are missing. The folder's name holds a digest of
-the file's bytes and of how it was read, so points of another file are never taken for these.
+points (k, 3) float64, m, in file order under the tile's name, with their places in the part,
+written whole or not at all: a run that was interrupted goes on with the parts that are missing. The
+folder's name holds a digest of the file's bytes and of how it was read, so points of another file
+are never taken for these.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError, short_repr
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
 from ladar_volume.model.verdict import Doubt
 
 #: Points read at a time: about 100 bytes each while they are sorted.
@@ -35,7 +36,7 @@ PART = 1_000_000
 #: Kinds of file that can be read from the middle.
 ENDINGS = (".las", ".laz")
 #: Layout of the archives; another number makes another folder.
-LAYOUT = 1
+LAYOUT = 2
 #: Farthest tile from the origin, in tiles: names stay whole numbers.
 FARTHEST = 2**40
 
@@ -160,6 +161,8 @@ def distribute_part(cloud: CloudParts, k: int) -> Path:
     boxes = [(*own[:, :2].min(axis=0), *own[:, :2].max(axis=0)) for own in rows]
     notes = {"left_out": left_out, "doubts": [asdict(d) for d in doubts]}
     arrays = {f"{i}_{j}": own for (i, j), own in zip(cells[new].tolist(), rows, strict=True)}
+    places = np.split(order.astype(np.int32), new[1:]) if len(new) else []
+    arrays |= {f"row_{i}_{j}": own for (i, j), own in zip(cells[new].tolist(), places, strict=True)}  # type: ignore[misc]
     archive.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(archive) as path, path.open("wb") as file:
         np.savez(
@@ -194,6 +197,12 @@ class TileIndex:
         name = f"{tile[0]}_{tile[1]}"
         found = [member(self.cloud.archive(k), name) for k in self.parts.get(tile, [])]
         return np.concatenate(found) if found else np.zeros((0, 3))
+
+    def rows(self, tile: Tile) -> I64:
+        """Numbers (n,) of these points that order all of the file as they stand in it."""
+        name, parts, each = f"row_{tile[0]}_{tile[1]}", self.parts.get(tile, []), self.cloud.part
+        found = [k * each + member(self.cloud.archive(k), name).astype(np.int64) for k in parts]
+        return np.concatenate(found) if found else np.zeros(0, np.int64)
 
 
 def member(archive: Path, name: str) -> np.ndarray:

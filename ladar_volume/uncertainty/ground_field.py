@@ -79,33 +79,48 @@ class GroundField:
         low, high = field_bounds(self.vertices, self.triangles, self.area, self.xy)
         if rough.variance_m2 == 0.0 or not (low <= high).all():
             return 0.0
-        h = max(rough.spacing_m, float((high - low).max()) / MAX_CELLS, 1e-9)
-        shape = [int(s) + 1 for s in (high - low) / h]
-        grid = squares_grid(self.xy, self.weight, low, h, (shape[0], shape[1]))
+        h, shape = field_squares(rough, low, high)
+        grid = squares_grid(self.xy, self.weight, low, h, shape)
         spread_kernel(self.vertices, self.triangles, self.area, low, h, grid)
-        half = [
-            next_fast_len(s, real=True) for s in shape
-        ]  # of a torus on which the grid does not reach round
-        quarter = rough.correlation(
-            h * np.hypot(np.arange(half[0] + 1)[:, None], np.arange(half[1] + 1))
-        )
-        # two points of one cell are 0.52 h apart on average; for L below h the cell's mean
-        # correlation is its integral over its area
-        quarter[0, 0] = min(
-            float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2
-        )
-        power = (
-            np.abs(rfft2(grid, s=[2 * s for s in half])) ** 2
-        )  # by Parseval's theorem: no way back
-        spectrum = dctn(quarter, type=1)  # of the even kernel whose quarter it is
-        folded = power[: half[0] + 1].copy()
-        folded[1 : half[0]] += power[: half[0] : -1]
-        folded[:, 1 : half[1]] *= 2.0
-        total = float((folded * spectrum).sum()) / (4.0 * half[0] * half[1])
-        # a point is fully correlated with itself, not as two points of one cell are
-        return rough.variance_m2 * max(
-            0.0, total + (1.0 - float(quarter[0, 0])) * float(self.weight @ self.weight)
-        )
+        return variance_on_squares(rough, grid, h, float(self.weight @ self.weight))
+
+
+def field_squares(rough: Roughness, low: F64, high: F64) -> tuple[float, tuple[int, int]]:
+    """Side, m, and numbers of the squares on which a field is summed, from ``low`` to ``high``
+    (2,).
+    """
+    h = max(rough.spacing_m, float((high - low).max()) / MAX_CELLS, 1e-9)
+    nx, ny = (int(s) + 1 for s in (high - low) / h)
+    return h, (nx, ny)
+
+
+def variance_on_squares(rough: Roughness, grid: F64, h: float, own: float) -> float:
+    """Variance, m⁶, of a field's deviations with weights summed by squares (a, b) of side h, m; own
+    : sum of the squared weights of points, m⁴.
+    """
+    half = [
+        next_fast_len(s, real=True) for s in grid.shape
+    ]  # of a torus on which the grid does not reach round
+    quarter = rough.correlation(
+        h * np.hypot(np.arange(half[0] + 1)[:, None], np.arange(half[1] + 1))
+    )
+    # two points of one cell are 0.52 h apart on average; for L below h the cell's mean
+    # correlation is its integral over its area
+    quarter[0, 0] = min(
+        float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2
+    )
+    power = np.abs(rfft2(grid, s=[2 * s for s in half])) ** 2  # by Parseval's theorem: no way back
+    spectrum = dctn(quarter, type=1)  # of the even kernel whose quarter it is
+    folded = power[: half[0] + 1].copy()
+    folded[1 : half[0]] += power[: half[0] : -1]
+    folded[:, 1 : half[1]] *= 2.0
+    total = float((folded * spectrum).sum()) / (4.0 * half[0] * half[1])
+    # a point is fully correlated with itself, not as two points of one cell are
+    return rough.variance_m2 * max(0.0, total + (1.0 - float(quarter[0, 0])) * own)
+
+
+#: Squares along the longer side of the grid on which occupied ground is counted.
+OCCUPIED = 40
 
 
 def mean_spacing(xy: F64) -> float:
@@ -113,9 +128,19 @@ def mean_spacing(xy: F64) -> float:
     cells of a coarse grid.
     """
     low, high = xy.min(axis=0), xy.max(axis=0)
-    side = max(float((high - low).max()) / 40.0, 1e-9)
-    occupied = int(np.count_nonzero(squares_grid(xy, np.ones(len(xy)), low, side, (41, 41))))
-    return math.sqrt(occupied * side * side / len(xy))
+    side = occupied_side(low, high)
+    grid = squares_grid(xy, np.ones(len(xy)), low, side, (OCCUPIED + 1, OCCUPIED + 1))
+    return spacing_of(int(np.count_nonzero(grid)), side, len(xy))
+
+
+def occupied_side(low: F64, high: F64) -> float:
+    """Side, m, of the squares on which occupied ground from ``low`` to ``high`` (2,) is counted."""
+    return max(float((high - low).max()) / OCCUPIED, 1e-9)
+
+
+def spacing_of(occupied: int, side: float, count: int) -> float:
+    """:func:`mean_spacing` of so many points on so many squares."""
+    return math.sqrt(occupied * side * side / count)
 
 
 @kernel

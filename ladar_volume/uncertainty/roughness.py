@@ -119,25 +119,50 @@ def estimate_roughness(
     large; the integral of the autocorrelation up to its first zero scatters twice as much as the
     fit, and is too long by it.)
     """
-    n, spacing = len(residual), mean_spacing(xy)
-    some = np.arange(0, n, max(1, math.ceil(n / MAX_POINTS)), dtype=np.int64)
-    none = Roughness(0.0, spacing / 2, spacing)
-    if len(some) <= parameters:
-        return none
-    noise = float(noise_variance.mean()) * (1.0 - parameters / n)
-    square = float(residual @ residual) / n
-    if square == 0.0:  # an exact ground
-        return none
-    C = np.zeros((len(some), len(some)))
-    if shared is not None:
+    n = len(residual)
+    some = np.arange(0, n, sample_step(n), dtype=np.int64)
+    square, noise, C = float(residual @ residual) / n, float(noise_variance.mean()), None
+    if shared is not None and len(some) > parameters and square > 0.0:
         order, C = shared(some)
         some = some[order]
-    p = xy[some]
+    sample = FieldSample(xy[some], residual[some], n, mean_spacing(xy), noise, square)
+    return roughness_of(sample, parameters, C)
+
+
+def sample_step(n: int) -> int:
+    """Every how many of n points the field is told from, in their order."""
+    return max(1, math.ceil(n / MAX_POINTS))
+
+
+class FieldSample(NamedTuple):
+    """What a field is told from. xy (k, 2) m, residual (k,) m : of some of the points · n : how
+    many there are in all · spacing_m, noise_m2, square_m2 : of all: their mean spacing, the means
+    of their noise variances and of their squared residuals
+    """
+
+    xy: F64
+    residual: F64
+    n: int
+    spacing_m: float
+    noise_m2: float
+    square_m2: float
+
+
+def roughness_of(sample: FieldSample, parameters: int, C: F64 | None = None) -> Roughness:
+    """:func:`estimate_roughness` from a sample. C : (k, k) m² known covariance of its heights, the
+    upper triangle; None for none.
+    """
+    p, e, n, spacing, noise, square = sample
+    none = Roughness(0.0, spacing / 2, spacing)
+    if len(p) <= parameters or square == 0.0:  # few points, or an exact ground
+        return none
+    C = np.zeros((len(p), len(p))) if C is None else C
+    noise *= 1.0 - parameters / n
     Q, edges = basis(p, parameters), lag_edges(p, spacing)
-    products, counts, partners, CQ, d = pair_sums(p, residual[some], C, Q, np.append(0.0, edges))
+    products, counts, partners, CQ, d = pair_sums(p, e, C, Q, np.append(0.0, edges))
     known, trace = fit_reduction(CQ, Q)
     sums = PairSums(products, counts, partners, d, known)
-    left = square - noise - (float(np.trace(C)) - trace) / len(some)
+    left = square - noise - (float(np.trace(C)) - trace) / len(p)
     return _iterate_field(sums, Q, edges, left, _weights(counts, n, square, noise), none)
 
 

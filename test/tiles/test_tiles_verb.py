@@ -7,6 +7,8 @@ import pytest
 from tiled_clouds import LEVEL, SIGMA, at_once, by_tiles, random, write
 
 from ladar_volume.cli.main import main
+from ladar_volume.cli.scale.workers import local_cluster
+from ladar_volume.model.errors import LadarVolumeError
 
 
 @pytest.fixture
@@ -76,3 +78,19 @@ def test_two_processes_one_of_which_is_killed_give_the_same(cloud, tmp_path):
         workers = Hit(client)
         found, both = by_tiles(cloud, tmp_path / "both", 20.0, workers=workers, part=1000)
     assert workers.done > 6 and both == alone and len(found.sums) > 6
+
+
+def test_workers_lost_before_all_are_up_are_started_again(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    tried = []
+
+    def cluster(**words):
+        tried.append(words["n_workers"])
+        if len(tried) < 3 or words["n_workers"] == 7:
+            raise RuntimeError("Nanny failed to start.")
+        return "up"
+
+    monkeypatch.setattr(distributed, "LocalCluster", cluster)
+    assert local_cluster(2) == "up" and tried == [2, 2, 2]
+    with pytest.raises(LadarVolumeError, match="workers do not start: Nanny failed to start"):
+        local_cluster(7)

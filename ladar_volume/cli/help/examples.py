@@ -46,6 +46,7 @@ EXAMPLES = {
     "export": (("for CAD and GIS, in UTM", "out -o files --as all --crs EPSG:32632"),),
     "tiles": (
         ("a mine above a level, on the cores of this machine", "MINE.copc.laz --level 310 --dask"),
+        ("what rises above its own ground", "YARD.laz --base ground --sigma 0.02"),
     ),
     "sites": (("every pile of every week", "yards -o table --piles found --density 1.6"),),
     "plan": (("every scanner with every IMU", "--volume 100 --compare"),),

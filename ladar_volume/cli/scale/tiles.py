@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
 
+from ladar_volume.cli.arguments.scale.work_options import TILE_M
+from ladar_volume.cli.inputs.base_choice import parameters_of
 from ladar_volume.cli.inputs.reading import reading_of
 from ladar_volume.cli.scale.workers import Progress, check_workers, progress_on, workers_of
 from ladar_volume.cli.tables.volume_table import show
@@ -20,26 +22,47 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.tiles.tile_store import parts_of_file
-from ladar_volume.tiles.tile_volume import TileTask, whole_volume
-from ladar_volume.tiles.tile_work import TiledSums, sums_of_cloud
+from ladar_volume.tiles.ground_volume import above_ground
+from ladar_volume.tiles.tile_ground_volume import GroundSums
+from ladar_volume.tiles.tile_store import CloudParts, TileIndex, parts_of_file
+from ladar_volume.tiles.tile_surface import Limits
+from ladar_volume.tiles.tile_volume import TileSums, TileTask, whole_volume
+from ladar_volume.tiles.tile_work import Workers, sums_of_cloud
 from ladar_volume.version import version
 from ladar_volume.volume.volume_loads import base_name
 
 #: Mean of the positive part of noise of 1 about 0: no fold is larger, in sigmas of height.
 FOLD = 1.0 / math.sqrt(2.0 * math.pi)
+#: Options of ``volume`` that tiles know.
+SHARED = frozenset(
+    "verb run cloud json strict level plane base outline set ground_preset clean no_correction "
+    "relevant max_edge max_circle sigma tile store dask workers".split()
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A volume by tiles. sums : of each tile, in the order of their names · sigma_m : of the
+    heights, the largest of the tiles, 0 where it is not known
+    """
+
+    volume: CloudVolume
+    index: TileIndex
+    sums: Sequence[TileSums | GroundSums]
+    sigma_m: float
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Deal out, triangulate, add up, print."""
     console, words = Console(stderr=arguments.json), Console(stderr=True)
-    task, parameters = task_of(arguments)
+    parameters = checked(arguments)
     store = arguments.store or arguments.cloud.with_name(arguments.cloud.name + ".tiles")
     with words.status("reading"):
-        cloud = parts_of_file(arguments.cloud, store, arguments.tile, reading_of(arguments))
+        tile_m = TILE_M if arguments.tile is None else arguments.tile
+        cloud = parts_of_file(arguments.cloud, store, tile_m, reading_of(arguments))
     with workers_of(arguments, words) as workers, progress_on(words) as bars:
-        found = sums_of_cloud(cloud, task, workers, shares(bars))
-    facts = facts_of(found, task, parameters)
+        found = volume_of(arguments, parameters, cloud, workers, shares(bars))
+    facts = facts_of(found, arguments, parameters)
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -54,23 +77,46 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(arguments, facts["verdict"])
 
 
-def task_of(a: argparse.Namespace) -> tuple[TileTask, Parameters]:
-    """What is asked of each tile, and the parameters it stands for. Raises
-    :class:`ConfigurationError`.
-    """
+def checked(a: argparse.Namespace) -> Parameters:
+    """The parameters that are asked for. Raises :class:`ConfigurationError`."""
     if a.sigma is not None and a.sigma < 0.0:
         raise ConfigurationError(f"--sigma {a.sigma:g}: 0 or more", value=a.sigma)
     check_workers(a)
+    if a.base not in (None, "level", "plane", "ground"):
+        words = f"--base {a.base} is not told by tiles: level, plane or ground"
+        raise ConfigurationError(words, value=a.base)
+    parameters, base = parameters_of(a)
+    outline = parameters.volume.outline
+    if outline != "all" and (outline == "polygon" or base != "ground"):
+        words = f"the outline {outline} above a {base} is not told by tiles: --outline all"
+        raise ConfigurationError(words, value=outline)
+    return parameters
+
+
+def limits_of(a: argparse.Namespace) -> Limits:
+    """Which triangles count."""
     relevant = "edge" if a.max_edge is not None else "circumcircle" if a.max_circle else "all"
-    base = (a.level,) if a.plane is None else tuple(a.plane)
-    start = Parameters()
-    volume = dataclasses.replace(start.volume, outline="all")
-    if a.plane is None:
-        volume = dataclasses.replace(volume, base="level", level_m=a.level)
-    else:
-        volume = dataclasses.replace(volume, base="plane", plane=base)
-    task = TileTask(base, relevant, a.max_edge or math.inf, a.max_circle or math.inf, a.sigma)
-    return task, dataclasses.replace(start, volume=volume)
+    return Limits(relevant, a.max_edge or math.inf, a.max_circle or math.inf)
+
+
+def volume_of(
+    a: argparse.Namespace,
+    parameters: Parameters,
+    cloud: CloudParts,
+    workers: Workers,
+    progress: Callable[[str, int, int], None],
+) -> Found:
+    """The volume above the ground, a level or a plane."""
+    v, limits = parameters.volume, limits_of(a)
+    if v.base == "ground":
+        above = above_ground(cloud, limits, parameters, a.sigma, workers, progress)
+        return Found(above.volume, above.index, above.sums, above.sigma_m)
+    base = (v.level_m,) if v.base == "level" else tuple(v.plane)
+    relevant, edge, circle = limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
+    task = TileTask(base, relevant, edge, circle, a.sigma)
+    found = sums_of_cloud(cloud, task, workers, progress)
+    sigma = max((s.sigma_m for s in found.sums if s.sigma_m is not None), default=0.0)
+    return Found(whole_volume(found.sums, base_name(parameters)), found.index, found.sums, sigma)
 
 
 def shares(progress: Progress) -> Callable[[str, int, int], None]:
@@ -84,15 +130,14 @@ def shares(progress: Progress) -> Callable[[str, int, int], None]:
     return report
 
 
-def facts_of(found: TiledSums, task: TileTask, parameters: Parameters) -> dict[str, Any]:
+def facts_of(found: Found, a: argparse.Namespace, parameters: Parameters) -> dict[str, Any]:
     """What the JSON says: that of ``volume``, and the tiles."""
-    index, sums = found.index, found.sums
-    volume = whole_volume(sums, base_name(parameters))
-    points = sum(s.points for s in sums)
-    doubts = (*index.doubts, *doubts_of(volume, found, task, points))
+    index, sums, ground = found.index, found.sums, parameters.volume.base == "ground"
+    estimated = "root mean square over the tiles" if ground else "tile by tile"
+    doubts = (*index.doubts, *doubts_of(found, ground))
     return {
-        **volume_facts(volume, parameters),
-        "sigma_holds": "noise of the points only",
+        **volume_facts(found.volume, parameters),
+        "sigma_holds": "noise of the points" + ", and the ground" * ground + " only",
         "footprint": None,
         "outline_parts": [],
         "surfaces": [],
@@ -100,32 +145,32 @@ def facts_of(found: TiledSums, task: TileTask, parameters: Parameters) -> dict[s
         "tiles": {
             "side_m": index.cloud.tile_m,
             "count": len(sums),
-            "points": points,
+            "points": sum(s.points for s in sums),
             "vertices": sum(s.vertices for s in sums),
             "triangles": sum(s.triangles for s in sums),
             "rounds": max(s.rounds for s in sums),
             "left_out": index.left_out,
             "folder": str(index.cloud.folder),
-            "sigma_from": "given" if task.sigma_m is not None else "local quadrics, tile by tile",
-            "relevant": task.relevant,
+            "sigma_from": "given" if a.sigma is not None else f"local quadrics, {estimated}",
+            "relevant": limits_of(a).relevant,
         },
         "verdict": Verdict(doubts).as_dict(),
         "version": version(),
     }
 
 
-def doubts_of(volume: CloudVolume, found: TiledSums, task: TileTask, points: int) -> list[Doubt]:
+def doubts_of(found: Found, ground: bool) -> list[Doubt]:
     """What speaks against a volume by tiles."""
+    volume, points = found.volume, sum(s.points for s in found.sums)
     words = (
-        f"strays, gaps and what lies between the {points:,} points are not judged by tiles, and "
-        "not in sigma; clean the cloud before, limit the triangles with --max-edge, and hold a "
-        "part of it against ladar_volume volume"
+        f"strays, gaps{', other readings of the ground' * ground} and what lies between the "
+        f"{points:,} points are not judged by tiles, and not in sigma; clean the cloud before, "
+        "limit the triangles with --max-edge, and hold a part of it against ladar_volume volume"
     )
     out = [Doubt("tiles_not_judged", words, float(points))]
     if math.isnan(volume.sigma_m3):
         return [*out, NO_SIGMA]
-    sigma = max((s.sigma_m for s in found.sums if s.sigma_m is not None), default=0.0)
-    fold = FOLD * sigma * volume.near_area_m2
+    fold = FOLD * found.sigma_m * volume.near_area_m2
     if fold > volume.sigma_m3:
         words = (
             f"{volume.near_area_m2:.4g} m² lie within the noise of the base: cut and fill may each "
@@ -133,3 +178,33 @@ def doubts_of(volume: CloudVolume, found: TiledSums, task: TileTask, points: int
         )
         out.append(Doubt("near_base", words, fold))
     return out
+
+
+def refuse_others(a: argparse.Namespace) -> None:
+    """Raises :class:`ConfigurationError` for options of ``volume`` that tiles do not know, and for
+    what it does besides unless it is told not to.
+    """
+    from ladar_volume.cli.main import make_parser
+
+    usual = vars(make_parser("volume").parse_args(["volume", str(a.cloud)]))
+    for name, value in vars(a).items():
+        if name not in SHARED and value != usual[name]:
+            words = f"--{name.replace('_', '-')} is not done by tiles: leave it out, or leave "
+            words += "--tile and --dask out"
+            raise ConfigurationError(words, value=name)
+    off = {"--clean off": a.clean == "off", "--no-correction": a.no_correction}
+    by_limit = a.max_edge is not None or a.max_circle is not None
+    off["--relevant all (or --max-edge, --max-circle)"] = by_limit or a.relevant == "all"
+    missing = [option for option, given in off.items() if not given]
+    if missing:
+        words = (
+            f"strays, the sampled area and the noise near the base are told from the whole cloud: "
+            f"by tiles give {', '.join(missing)}"
+        )
+        raise ConfigurationError(words, value=missing)
+
+
+def run_volume(arguments: argparse.Namespace) -> int:
+    """``ladar_volume volume`` by tiles."""
+    refuse_others(arguments)
+    return run(arguments)

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.tiles.tile_work import DaskWorkers, OwnProcess, Workers
 
+if TYPE_CHECKING:  # Dask is needed with workers alone
+    from distributed import LocalCluster
+
+#: How often processes are started that end before all are up.
+STARTS = 5
 #: Called with the stage, the share of it that is done, and points done so far.
 Progress: TypeAlias = Callable[[str, float, int], None]
 
@@ -34,9 +40,7 @@ def workers_of(a: argparse.Namespace, console: Console) -> Iterator[Workers]:
     if a.dask is None:
         yield OwnProcess()
         return
-    import logging
-
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our errors say it in one line
     if a.dask:
@@ -50,16 +54,30 @@ def workers_of(a: argparse.Namespace, console: Console) -> Iterator[Workers]:
             yield DaskWorkers(client)
         return
     with (
-        LocalCluster(  # type: ignore[no-untyped-call]
-            n_workers=a.workers or os.cpu_count() or 1,
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
+        local_cluster(a.workers or os.cpu_count() or 1) as cluster,
         Client(cluster) as client,  # type: ignore[no-untyped-call]
     ):
         console.print(f"dashboard {client.dashboard_link}")
         yield DaskWorkers(client)
+
+
+def local_cluster(workers: int) -> LocalCluster:
+    """So many processes of one thread. One that is lost before all are up takes the others with it:
+    they are started again. Raises :class:`LadarVolumeError` where that does not help.
+    """
+    from distributed import LocalCluster
+
+    for _ in range(STARTS):
+        try:
+            return LocalCluster(  # type: ignore[no-untyped-call]
+                n_workers=workers,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+        except RuntimeError as error:
+            why = str(error).rstrip(".")
+    raise LadarVolumeError(f"workers do not start: {why}", reason="workers_lost")
 
 
 @contextmanager

@@ -6,14 +6,15 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.arguments.parameter_flags import add_parameter, number
+from ladar_volume.cli.arguments.parameter_flags import (
+    add_ground_preset,
+    add_parameter,
+    number,
+)
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
-
-#: Which triangles count: what can be told triangle by triangle.
-RELEVANT = ("all", "edge", "circumcircle")
 
 
 def add_parser(subparsers: Verbs) -> None:
@@ -22,15 +23,13 @@ def add_parser(subparsers: Verbs) -> None:
         "tiles",
         help="cut and fill of a cloud larger than the memory, by tiles, on as many workers",
         description=(
-            "Cut, fill and net volume of a LAS, LAZ or COPC file above a level or a plane, by "
-            "square tiles at rest on disk: what one triangulation of all points gives. A run that "
-            "was interrupted goes on where it was. Lengths in m."
+            "Cut, fill and net volume of a LAS, LAZ or COPC file above a level, a plane or its own "
+            "ground, by square tiles at rest on disk: what one triangulation of all points gives. "
+            "A run that was interrupted goes on where it was. Lengths in m."
         ),
     )
     parser.add_argument("cloud", type=Path, help="point cloud (.las .laz)")
-    base = parser.add_mutually_exclusive_group(required=True)
-    add_parameter(base, "--level", "volume.level_m", metavar="Z")
-    add_parameter(base, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
+    _add_bases(parser.add_argument_group("base"))
     _add_surface(parser)
     add_work_options(parser, "CLOUD.tiles")
     parser.add_argument(
@@ -38,7 +37,32 @@ def add_parser(subparsers: Verbs) -> None:
     )
     add_reading_options(parser)
     add_strict_option(parser)
+    # of ``volume`` alone
+    parser.set_defaults(cloud_b=None, piles=None, levels=None, method=None, offset=None)
+    parser.set_defaults(footprint="common", sigma_b=None, frame="level", trajectory=None)
     parser.set_defaults(run=work("ladar_volume.cli.scale.tiles"))
+
+
+def _add_bases(g: argparse._ArgumentGroup) -> None:
+    """Above what the volume is, and where it counts."""
+    add_parameter(g, "--level", "volume.level_m", metavar="Z")
+    add_parameter(g, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
+    add_parameter(g, "--base", "volume.base")
+    add_parameter(
+        g,
+        "--outline",
+        "volume.outline",
+        choices=("auto", "all"),
+        more="default auto above the ground, else all",
+    )
+    add_ground_preset(g)
+    g.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override a parameter of volume or ground",
+    )
 
 
 def _add_surface(parser: argparse.ArgumentParser) -> None:
@@ -51,5 +75,5 @@ def _add_surface(parser: argparse.ArgumentParser) -> None:
         "--sigma",
         type=number,
         metavar="M",
-        help="standard deviation of the heights; else estimated tile by tile",
+        help="standard deviation of the heights; else estimated from the tiles",
     )

@@ -1,0 +1,79 @@
+"""The same question to every tile, some tiles at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.tiles.tile_store import Tile, TileIndex
+from ladar_volume.tiles.tile_surface import Limits
+from ladar_volume.tiles.tile_work import Workers, results
+
+R = TypeVar("R")
+
+#: Into how many batches the tiles go, whatever the number of workers: sums do not hang on it.
+BATCHES = 64
+
+
+@dataclass(frozen=True)
+class Tiled:
+    """index : the tiles · limits : which triangles count"""
+
+    index: TileIndex
+    limits: Limits
+
+    @property
+    def tiles(self) -> list[Tile]:
+        """All tiles, by name."""
+        return sorted(self.index.count)
+
+
+def words_of(index: TileIndex, tile: Tile) -> str:
+    """How errors name a tile."""
+    side = index.cloud.tile_m
+    return f"tile {tile[0]}_{tile[1]} (x from {tile[0] * side:g}, y from {tile[1] * side:g} m)"
+
+
+def run_batch(
+    op: Callable[..., R], of: Tiled, batch: tuple[int, Sequence[tuple[Any, ...]]]
+) -> tuple[int, list[R]]:
+    """The number of a batch, and its answers. Errors name the tile."""
+    out = []
+    for tile, *more in batch[1]:
+        try:
+            out.append(op(of, tile, *more))
+        except LadarVolumeError as error:
+            words = f"{words_of(of.index, tile)}: {error}"
+            raise type(error)(words, reason=error.reason, value=error.value) from error
+    return batch[0], out
+
+
+def sum_batch(
+    op: Callable[..., Any], of: Tiled, batch: tuple[int, Sequence[tuple[Any, ...]]]
+) -> tuple[int, list[Any]]:
+    """The same, the answers added up."""
+    number, answers = run_batch(op, of, batch)
+    return number, [sum(answers[1:], answers[0])]
+
+
+def ask(
+    workers: Workers,
+    of: Tiled,
+    op: Callable[..., R],
+    more: Sequence[tuple[Any, ...]] | None = None,
+    progress: Callable[[int], None] = lambda tiles: None,
+    adds: bool = False,
+) -> list[R]:
+    """The answers ``op(of, tile, *more)`` of all tiles, in the order of their names; where it
+    ``adds``, the sums of some each. progress : takes how many tiles have just answered.
+    """
+    tiles = of.tiles
+    every = [(tile, *rest) for tile, rest in zip(tiles, more or [()] * len(tiles), strict=True)]
+    each = -(-len(every) // BATCHES)
+    batches = [(k, every[k : k + each]) for k in range(0, len(every), each)]
+    task = partial(sum_batch if adds else run_batch, op, of)
+    found = results(workers, task, batches, lambda done: progress(len(done[1])))
+    return [answer for _, some in sorted(found, key=lambda f: f[0]) for answer in some]

@@ -1,0 +1,146 @@
+"""What a fit of the ground asks of the vertices of one tile: sums, order statistics, some rows."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_height, design, design_surface
+from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.tiles.tile_batches import Tiled
+from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_surface import used_of
+
+#: Digits of a number that a bin of the sizes of residuals leaves out, of 52 binary ones.
+COARSE_BITS = 40
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Vertices that a ground is fitted to: of those that count, or of a ring of them at rest in the
+    folder ``ring``, the ones within ``limit_m`` of a surface, or those with given rows (k,) of the
+    file, ascending.
+    """
+
+    origin_xy: tuple[float, float]
+    beta: tuple[float, ...]
+    limit_m: float
+    ring: Path | None = None
+    rows: I64 | None = field(default=None, compare=False)
+
+    def mask(self, xyz: F64, row: I64) -> Bool:
+        """Which of the vertices (k, 3) m with rows (k,) these are."""
+        if self.rows is not None:
+            return np.asarray(np.isin(row, self.rows, assume_unique=True))
+        surface = design_surface(self.beta, self.origin_xy)
+        off = np.abs(xyz[:, 2] - base_height(surface, xyz[:, :2]))
+        return np.asarray(off <= self.limit_m)
+
+
+def vertices(of: Tiled, tile: Tile, ring: Path | None = None) -> tuple[F64, F64, I64]:
+    """Of a tile's vertices that count, or of those in a ring: places (k, 3) m, points at each (k,),
+    rows (k,).
+    """
+    xyz, shared, row = used_of(of.index, of.limits, tile)
+    if ring is not None:
+        some = np.load(ring / f"{tile[0]}_{tile[1]}.npy", allow_pickle=False)
+        xyz, shared, row = xyz[some], shared[some], row[some]
+    return xyz, shared, row
+
+
+def chosen_of(of: Tiled, tile: Tile, chosen: Chosen) -> tuple[F64, F64, I64]:
+    """The same of the chosen ones."""
+    xyz, shared, row = vertices(of, tile, chosen.ring)
+    mask = chosen.mask(xyz, row)
+    return xyz[mask], shared[mask], row[mask]
+
+
+def extent(of: Tiled, tile: Tile, ring: Path | None) -> tuple[int, float]:
+    """How many vertices there are, and their greatest height up or down, m."""
+    xyz, _, _ = vertices(of, tile, ring)
+    return len(xyz), float(np.abs(xyz[:, 2]).max(initial=0.0))
+
+
+def products(of: Tiled, tile: Tile, chosen: Chosen) -> tuple[int, F64, F64, bytes]:
+    """Number of the chosen, ``XᵀX`` (p, p), ``Xᵀz`` (p,), and a digest of which they are."""
+    xyz, _, row = vertices(of, tile, chosen.ring)
+    mask = chosen.mask(xyz, row)
+    X = design_of(chosen, xyz[mask])
+    name = hashlib.blake2b(np.packbits(mask).tobytes(), digest_size=16).digest()
+    return len(X), X.T @ X, X.T @ xyz[mask, 2], name
+
+
+def design_of(chosen: Chosen, xyz: F64) -> F64:
+    """Design rows (k, p) at places (k, 3) m."""
+    degree = (1, 3, 6, 10).index(len(chosen.beta))
+    return design(xyz[:, :2], np.array(chosen.origin_xy), degree)
+
+
+def residuals(of: Tiled, tile: Tile, chosen: Chosen, beta: F64) -> F64:
+    """Residuals (k,) m of the chosen."""
+    xyz, _, _ = chosen_of(of, tile, chosen)
+    out: F64 = xyz[:, 2] - design_of(chosen, xyz) @ beta
+    return out
+
+
+def bins_of(size: F64) -> I64:
+    """Bins (k,) of sizes (k,), ascending with them."""
+    return np.ascontiguousarray(size).view(np.int64) >> COARSE_BITS
+
+
+def spread(of: Tiled, tile: Tile, chosen: Chosen, beta: F64) -> tuple[F64, I64, I64]:
+    """Sum of squared residuals, m², number of those below 0 and sum of their squares, (3,); bins of
+    their sizes, and how many there are in each.
+    """
+    r = residuals(of, tile, chosen, beta)
+    below = r[r < 0.0]
+    bins, count = np.unique(bins_of(np.abs(r)), return_counts=True)
+    return np.array([r @ r, len(below), below @ below]), bins, count
+
+
+def sizes_in(of: Tiled, tile: Tile, chosen: Chosen, beta: F64, low: int, high: int) -> F64:
+    """Sizes (k,) m of the residuals in bins from ``low`` to ``high``."""
+    size = np.abs(residuals(of, tile, chosen, beta))
+    bins = bins_of(size)
+    return size[(bins >= low) & (bins <= high)]
+
+
+def rows_by_block(of: Tiled, tile: Tile, chosen: Chosen, block: int) -> tuple[I64, I64]:
+    """Blocks of rows of the file that hold chosen ones, and how many each."""
+    row = chosen_of(of, tile, chosen)[2]
+    blocks, count = np.unique(row // block, return_counts=True)
+    return blocks, count
+
+
+def rows_in_blocks(of: Tiled, tile: Tile, chosen: Chosen, block: int, blocks: I64) -> I64:
+    """The rows (k,) of the chosen in some blocks, ascending."""
+    row = chosen_of(of, tile, chosen)[2]
+    return row[np.isin(row // block, blocks)]
+
+
+def vertices_at(of: Tiled, tile: Tile, chosen: Chosen, rows: I64 | None) -> F64:
+    """Row, x, y, z, points (k, 5) of the chosen with given rows; None for all."""
+    xyz, shared, row = chosen_of(of, tile, chosen)
+    some = slice(None) if rows is None else np.isin(row, rows)
+    return np.column_stack([row, xyz, shared])[some]
+
+
+def layers(of: Tiled, tile: Tile, chosen: Chosen, threshold_m: float) -> I64:
+    """How many vertices lie within the threshold of the surface, and in the layers of the same
+    thickness above and below, (3,).
+    """
+    xyz, _, _ = vertices(of, tile, chosen.ring)
+    surface = design_surface(chosen.beta, chosen.origin_xy)
+    r = xyz[:, 2] - base_height(surface, xyz[:, :2])
+    above, below = ((s > threshold_m) & (s <= 3.0 * threshold_m) for s in (r, -r))
+    return np.array([np.count_nonzero(m) for m in (np.abs(r) <= threshold_m, above, below)])
+
+
+def moments(of: Tiled, tile: Tile, chosen: Chosen, about: F64) -> F64:
+    """Sums (4, 4) of products of (1, x, y, z) of the chosen about a place (3,), m."""
+    xyz, _, _ = chosen_of(of, tile, chosen)
+    d = np.column_stack([np.ones(len(xyz)), xyz - about])
+    return np.asarray(d.T @ d)

@@ -1,0 +1,180 @@
+"""Where the volume of one tile counts: its share of bodies that span tiles, widened so that their
+toes are inside.
+
+Parts of a tile's triangles are joined to those of other tiles by the triangles that both know: two
+triangles with a common side have a vertex in common, and the tile of that vertex knows both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.io.atomic_write import atomic_file
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.tiles.tile_batches import Tiled
+from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_surface import TileSurface, surface_of
+from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
+
+#: x and y low, x and y high, m.
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class TileParts:
+    """Parts of some triangles of a tile, joined by sides. count : of parts · corners : (b, 6) of
+    the triangles that other tiles know too, m · label : (b,) the part of each · total : (count,)
+    of what is asked of each part
+    """
+
+    count: int
+    corners: F64
+    label: I64
+    total: F64
+
+
+def parts_of(surface: TileSurface, label: I64, total: F64) -> TileParts:
+    """The parts with labels (m,), -1 for none."""
+    tin = surface.tin
+    shared = (label >= 0) & any_corner(tin.triangles, ~surface.own)
+    xy = tin.vertices[tin.triangles[shared], :2]
+    order = np.lexsort((xy[..., 1], xy[..., 0]), axis=1)
+    corners = np.take_along_axis(xy, order[..., None], axis=1).reshape(-1, 6)
+    return TileParts(len(total), corners, label[shared], total)
+
+
+def at_rest(folder: Path, name: str, tile: Tile) -> Path:
+    """Where an array of a tile is at rest."""
+    return folder / name / f"{tile[0]}_{tile[1]}.npy"
+
+
+def write(folder: Path, name: str, tile: Tile, values: np.ndarray) -> None:
+    """Write an array of a tile, whole or not at all."""
+    path = at_rest(folder, name, tile)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as part, part.open("wb") as file:
+        np.save(file, values, allow_pickle=False)
+
+
+def read(folder: Path, name: str, tile: Tile) -> np.ndarray:
+    """Read it."""
+    return np.asarray(np.load(at_rest(folder, name, tile), allow_pickle=False))
+
+
+def rising(of: Tiled, tile: Tile, folder: Path, base: Plane, object_height_m: float) -> TileParts:
+    """Parts that rise above a base, and their volumes, m³: labels at rest."""
+    surface = surface_of(of.index, of.limits, tile)
+    tin = surface.tin
+    height = height_above(tin.vertices, base)
+    high = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
+    label = np.asarray(parts_kernel(tin.neighbours, high))
+    own = np.flatnonzero(high & surface.counted)
+    t = tin.triangles[own]
+    volume = footprint_areas(tin.vertices, t) * height[t].mean(axis=1)
+    total = np.bincount(label[own], volume, minlength=label.max(initial=-1) + 1).astype(np.float64)
+    write(folder, "rising", tile, label)
+    return parts_of(surface, label, total)
+
+
+def box_of(xy: F64) -> Box | None:
+    """The box of places (k, 2); None for none."""
+    if not len(xy):
+        return None
+    (x0, y0), (x1, y1) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+    return x0, y0, x1, y1
+
+
+def write_vertices(folder: Path, name: str, tile: Tile, tin: Tin, some: Bool) -> Box | None:
+    """Write the places of some vertices (n,) of a tile; returns their box."""
+    xy = tin.vertices[some, :2]
+    write(folder, name, tile, xy)
+    return box_of(xy)
+
+
+def chosen_parts(label: I64, chosen: Bool) -> Bool:
+    """The triangles (m,) of the chosen parts."""
+    return np.append(chosen, False)[label]
+
+
+def body(of: Tiled, tile: Tile, folder: Path, chosen: Bool) -> Box | None:
+    """The tile's own vertices of the chosen parts, at rest; returns their box."""
+    surface = surface_of(of.index, of.limits, tile)
+    mask = chosen_parts(read(folder, "rising", tile), chosen)
+    some = vertex_mask(surface.tin, mask) & surface.own
+    return write_vertices(folder, "body", tile, surface.tin, some)
+
+
+def near(xy: F64, folder: Path, name: str, beside: Sequence[Tile], distance_m: float) -> Bool:
+    """Which of the places (k, 2) lie within a distance of one at rest of the tiles beside."""
+    out = np.zeros(len(xy), np.bool_)
+    for tile in beside:
+        some = read(folder, name, tile)
+        left = np.flatnonzero(~out)
+        if len(left) == 0:
+            break
+        bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
+        low, high = some.min(axis=0) - bound, some.max(axis=0) + bound
+        left = left[((xy[left] > low) & (xy[left] < high)).all(axis=1)]
+        if len(left):
+            tree = cKDTree(some, balanced_tree=False, compact_nodes=False)
+            away = tree.query(xy[left], distance_upper_bound=bound)[0]
+            out[left] = np.asarray(away) <= distance_m
+    return out
+
+
+def grow(
+    of: Tiled, tile: Tile, folder: Path, chosen: Bool, beside: Sequence[Tile], margin_m: float
+) -> TileParts:
+    """The chosen parts with the triangles that count within a margin, at rest; and the parts of
+    the other triangles, whose totals tell which lead to the edge of what counts.
+    """
+    surface = surface_of(of.index, of.limits, tile)
+    tin = surface.tin
+    mask = chosen_parts(read(folder, "rising", tile), chosen)
+    close = near(tin.vertices[:, :2], folder, "body", beside, margin_m)
+    grown = tin.relevant & (mask | any_corner(tin.triangles, close))
+    label = np.asarray(parts_kernel(tin.neighbours, ~grown))
+    leads = (label >= 0) & (~tin.relevant | (tin.neighbours == -1).any(axis=1))
+    total = np.bincount(label[leads], minlength=label.max(initial=-1) + 1).astype(np.float64)
+    write(folder, "grown", tile, label)
+    return parts_of(surface, label, total)
+
+
+def fill(of: Tiled, tile: Tile, folder: Path, holes: Bool) -> tuple[Box | None, bytes]:
+    """What grew, with its holes: the triangles inside and their own vertices at rest; returns the
+    box of these, and a digest of which triangles of the tile are inside.
+    """
+    surface = surface_of(of.index, of.limits, tile)
+    label = read(folder, "grown", tile)
+    inside = (label < 0) | chosen_parts(label, holes)
+    write(folder, "inside", tile, inside)
+    some = vertex_mask(surface.tin, inside) & surface.own
+    counted = inside & surface.counted
+    name = hashlib.blake2b(np.packbits(counted).tobytes(), digest_size=16).digest()
+    return write_vertices(folder, "outline", tile, surface.tin, some), name
+
+
+def ring(of: Tiled, tile: Tile, folder: Path, beside: Sequence[Tile], ring_m: float) -> int:
+    """Which of the tile's vertices that count lie around the outline, at rest; returns how many."""
+    surface = surface_of(of.index, of.limits, tile)
+    tin = surface.tin
+    around = ~vertex_mask(tin, read(folder, "inside", tile))[surface.used]
+    if ring_m > 0:
+        xy = tin.vertices[surface.used, :2][around]
+        around[around] = near(xy, folder, "outline", beside, ring_m)
+    write(folder, "ring", tile, around)
+    return int(np.count_nonzero(around))
+
+
+def reach(of: Tiled, tile: Tile) -> Box:
+    """The box of all vertices of the triangles of a tile."""
+    box = box_of(surface_of(of.index, of.limits, tile).tin.vertices[:, :2])
+    return of.index.box[tile] if box is None else box

@@ -1,0 +1,166 @@
+"""The triangles of each tile at rest, so that what a ground needs of them is asked many times."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ladar_volume.io.atomic_write import atomic_file
+from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tiles.tile_stars import TileStars, tile_stars
+from ladar_volume.tiles.tile_store import Tile, TileIndex, digest
+from ladar_volume.tiles.tile_volume import noise_of_tile
+from ladar_volume.tin.full_tin import places_in
+from ladar_volume.tin.relevant import relevant_triangles
+
+#: Across a side of a triangle lies one of another tile, or the hull: this tile does not know.
+UNKNOWN = -2
+#: Arrays of its triangles, and of the vertices that a ground may be fitted to.
+ARRAYS = ("vertices", "triangles", "neighbours", "relevant", "row")
+USED = ("used_xyz", "used_shared", "used_row")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Which triangles count, and the limits of that."""
+
+    relevant: str = "all"
+    max_edge_m: float = math.inf
+    max_circumdiameter_m: float = math.inf
+
+
+@dataclass(frozen=True)
+class TileSurface:
+    """tin : the triangles that meet a vertex of the tile, with those that count as relevant; across
+    a side -1 for the hull, which is told at the tile's own vertices, :data:`UNKNOWN` for what is
+    not · shared : (n,) points at each vertex · own : (n,) which vertices lie in the tile · counted
+    : (m,) triangles that belong to it · row : (n,) number of the first point of the file there, -1
+    for vertices of other tiles · points, rounds : counts · sigma_m : noise of its heights, NaN
+    where it cannot be told
+    """
+
+    tin: Tin
+    shared: F64
+    own: Bool
+    counted: Bool
+    row: I64
+    points: int
+    rounds: int
+    sigma_m: float
+
+    @property
+    def used(self) -> Bool:
+        """The tile's own vertices (n,) of triangles that count."""
+        out = np.zeros(len(self.own), np.bool_)
+        out[self.tin.triangles[self.tin.relevant]] = True
+        return out & self.own
+
+
+def surface_folder(index: TileIndex, limits: Limits) -> Path:
+    """Where the surfaces of all tiles are at rest."""
+    return index.cloud.folder / f"surface_{digest(asdict(limits))}"
+
+
+def surface_path(index: TileIndex, limits: Limits, tile: Tile) -> Path:
+    """Where the surface of a tile is at rest."""
+    return surface_folder(index, limits) / f"{tile[0]}_{tile[1]}.npz"
+
+
+def surface_of(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
+    """The surface of a tile, read where it is at rest; made anew where it is not or is damaged."""
+    path = surface_path(index, limits, tile)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            tin = Tin(*(file[n] for n in ARRAYS))
+            shared, own, counted = file["shared"], file["own"], file["counted"]
+            points, rounds = (int(n) for n in file["counts"])
+            sigma_m = float(file["sigma_m"])
+            return TileSurface(tin, shared, own, counted, tin.source, points, rounds, sigma_m)
+    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
+        made = make_surface(index, limits, tile)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tin = made.tin
+    with atomic_file(path) as part, part.open("wb") as out:
+        np.savez(
+            out,
+            vertices=tin.vertices,
+            triangles=tin.triangles,
+            neighbours=tin.neighbours,
+            relevant=tin.relevant,
+            row=made.row,
+            shared=made.shared,
+            own=made.own,
+            counted=made.counted,
+            counts=np.array([made.points, made.rounds]),
+            sigma_m=np.array(made.sigma_m),
+            **dict(zip(USED, of_used(made), strict=True)),  # type: ignore[arg-type]
+        )
+    return made
+
+
+def of_used(made: TileSurface) -> tuple[F64, F64, I64]:
+    """Of the tile's own vertices that count: places (k, 3) m, points at each (k,), rows (k,)."""
+    used = made.used
+    return made.tin.vertices[used], made.shared[used], made.row[used]
+
+
+def used_of(index: TileIndex, limits: Limits, tile: Tile) -> tuple[F64, F64, I64]:
+    """:func:`of_used` of the surface of a tile at rest."""
+    try:
+        with np.load(surface_path(index, limits, tile), allow_pickle=False) as file:
+            xyz, shared, row = (file[n] for n in USED)
+            return xyz, shared, row
+    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
+        return of_used(surface_of(index, limits, tile))
+
+
+def make_surface(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
+    """Triangulate a tile and keep what belongs to it."""
+    points = index.points(tile)
+    stars, first = tile_stars(index, tile), first_rows(points, index.rows(tile))
+    tin = stars.tin
+    row = np.full(len(tin.vertices), -1, np.int64)
+    row[stars.own] = first[tin.source[stars.own]]
+    counts = relevant_triangles(
+        tin, limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
+    )
+    sigma = noise_of_tile(points)
+    return part_of_tile(stars, row, counts, len(points), math.nan if sigma is None else sigma)
+
+
+def part_of_tile(
+    stars: TileStars, row: I64, counts: Bool, points: int, sigma_m: float
+) -> TileSurface:
+    """The triangles that meet a tile's vertices, and their corners, numbered anew."""
+    tin, star = stars.tin, stars.star
+    corners = np.unique(tin.triangles[star]).astype(np.int64)
+    number = np.full(len(star) + 1, UNKNOWN, np.int32)
+    number[np.flatnonzero(star)] = np.arange(np.count_nonzero(star))
+    number[-1] = -1  # the hull
+    triangles = places_in(corners, len(tin.vertices))[tin.triangles[star]]
+    across, own = number[tin.neighbours[star]], stars.own[corners]
+    for k in range(3):  # beyond a side of other tiles' vertices there may be more
+        at = ~own[triangles[:, (k + 1) % 3]] & ~own[triangles[:, (k + 2) % 3]]
+        across[at & (across[:, k] == -1), k] = UNKNOWN
+    small = Tin(tin.vertices[corners], triangles, across, counts[star], row[corners])
+    return TileSurface(
+        small,
+        stars.shared[corners],
+        own,
+        stars.counted[star],
+        row[corners],
+        points,
+        stars.rounds,
+        sigma_m,
+    )
+
+
+def first_rows(points: F64, rows: I64) -> I64:
+    """The least of the rows (n,) at each footprint of points (n, 3), by x, then y."""
+    x, y = points[:, 0] + 0.0, points[:, 1] + 0.0
+    order = np.lexsort((rows, y, x))
+    new = np.r_[True, (np.diff(x[order]) != 0) | (np.diff(y[order]) != 0)][: len(order)]
+    return np.asarray(rows[order][new])

@@ -1,0 +1,161 @@
+"""Ground and outline of all tiles, which define each other: :mod:`ladar_volume.volume.base` to what
+one process gives.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from ladar_volume.model.errors import GroundError, VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import I64, Bool, Plane
+from ladar_volume.tiles import tile_outline
+from ladar_volume.tiles.tile_batches import ask
+from ladar_volume.tiles.tile_outline import Box, TileParts
+from ladar_volume.tiles.tile_store import Tile, digest
+from ladar_volume.tiles.tile_surface import surface_folder
+from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
+from ladar_volume.volume.base import MAX_ROUNDS
+
+
+@dataclass(frozen=True)
+class TiledOutline:
+    """fit : the ground · folder : where the triangles inside are at rest, None where all that count
+    are
+    """
+
+    fit: TiledFit
+    folder: Path | None
+
+
+@dataclass(frozen=True)
+class OutlineFinder:
+    """Finds bodies, what is around them, and the ground there."""
+
+    fitter: GroundFitter
+    parameters: Parameters
+    reach: Sequence[Box]
+
+    def found(self) -> TiledOutline:
+        """:func:`~ladar_volume.volume.base.base_and_outline` above the ground."""
+        p, ground = self.parameters.volume, self.parameters.ground
+        fit = self.fitter.start(ground, p.object_height_m / 2)
+        if p.outline == "all":
+            return TiledOutline(fit, None)
+        folder, name, boxes = self._inside(fit)
+        seen = [name]
+        for _ in range(MAX_ROUNDS):
+            self._ring(folder, boxes)
+            fit = self._around(fit, folder)
+            folder, name, boxes = self._inside(fit)
+            if name in seen:
+                break  # settled, or a triangle or two come and go
+            seen.append(name)
+        return TiledOutline(fit, folder)
+
+    def _around(self, fit: TiledFit, folder: Path) -> TiledFit:
+        """The ground around an outline."""
+        p = self.parameters
+        try:
+            ring = folder / "ring"
+            return self.fitter.refine(fit.plane, p.volume.object_height_m, ring, p.ground)
+        except GroundError as error:
+            if error.reason != "ground_too_few_points":
+                raise
+            words = (
+                "no ground is left around what rises above it: the body takes up the survey; take "
+                "more of its surroundings, or give --level or --plane"
+            )
+            raise GroundError(words, reason="ground_none_around", value=0) from error
+
+    def _ask(self, op: object, more: Sequence[tuple[object, ...]]) -> list:  # type: ignore[type-arg]
+        return ask(self.fitter.workers, self.fitter.of, op, more)  # type: ignore[arg-type]
+
+    def _inside(self, fit: TiledFit) -> tuple[Path, str, list[Box | None]]:
+        """The outline above a ground: its folder, a digest of which triangles are inside, and the
+        box of those of each tile.
+        """
+        p, tiles = self.parameters.volume, self.fitter.of.tiles
+        asked = [p.object_height_m, p.bodies, p.min_body_m3, p.outline_margin_m, p.ground_ring_m]
+        plane: Plane = fit.plane
+        words = [asked, plane.beta.tolist(), plane.origin_xy.tolist()]
+        folder = surface_folder(self.fitter.of.index, self.fitter.of.limits) / digest(words)
+        n = len(tiles)
+        rising = self._ask(tile_outline.rising, [(folder, plane, p.object_height_m)] * n)
+        chosen = self._bodies(rising)
+        boxes = self._ask(tile_outline.body, [(folder, c) for c in chosen])
+        beside = self._beside(boxes, p.outline_margin_m)
+        grown = [
+            (folder, c, some, p.outline_margin_m) for c, some in zip(chosen, beside, strict=True)
+        ]
+        rest = self._ask(tile_outline.grow, grown)
+        found = self._ask(tile_outline.fill, [(folder, holes) for holes in enclosed(rest)])
+        name = hashlib.sha256(b"".join(name for _, name in found)).hexdigest()
+        return folder, name, [box for box, _ in found]
+
+    def _bodies(self, rising: Sequence[TileParts]) -> list[Bool]:
+        """Which parts (count,) of each tile belong to the bodies."""
+        p = self.parameters.volume
+        label = joined(rising)
+        if not len(label):
+            raise VolumeError(
+                f"nothing rises more than {p.object_height_m:g} m above the base",
+                reason="volume_no_body",
+                value=p.object_height_m,
+            )
+        total = np.bincount(label, np.concatenate([each.total for each in rising]))
+        order = np.argsort(-total, kind="stable")
+        kept = [k for n, k in enumerate(order) if n == 0 or total[k] >= max(p.min_body_m3, 1e-300)]
+        chosen = np.isin(label, kept[: p.bodies] if p.bodies else kept)
+        return np.split(chosen, np.cumsum([each.count for each in rising])[:-1])
+
+    def _beside(self, boxes: Sequence[Box | None], distance_m: float) -> list[list[Tile]]:
+        """For each tile those with something in a box that its triangles may reach."""
+        tiles = self.fitter.of.tiles
+        some = [(tile, box) for tile, box in zip(tiles, boxes, strict=True) if box is not None]
+        d = 1.001 * distance_m + 1e-6
+        return [
+            [
+                tile
+                for tile, (x0, y0, x1, y1) in some
+                if x0 - d <= own[2] and x1 + d >= own[0] and y0 - d <= own[3] and y1 + d >= own[1]
+            ]
+            for own in self.reach
+        ]
+
+    def _ring(self, folder: Path, boxes: Sequence[Box | None]) -> None:
+        """The vertices around an outline, at rest."""
+        ring_m = self.parameters.volume.ground_ring_m
+        beside = self._beside(boxes, ring_m)
+        self._ask(tile_outline.ring, [(folder, some, ring_m) for some in beside])
+
+
+def joined(parts: Sequence[TileParts]) -> I64:
+    """Numbers (k,) of the parts of all tiles, one after the other, the same for those that are
+    joined: they have a triangle in common.
+    """
+    first = np.r_[0, np.cumsum([each.count for each in parts])]
+    corners = np.concatenate([each.corners for each in parts])
+    label = np.concatenate([at + each.label for at, each in zip(first[:-1], parts, strict=True)])
+    if not len(corners):
+        return np.arange(first[-1])
+    one = np.unique(corners, axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.argsort(one, kind="stable")
+    same = np.flatnonzero(np.diff(one[order]) == 0)
+    a, b = label[order[same]], label[order[same + 1]]
+    links = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(first[-1], first[-1]))
+    return np.asarray(sparse.csgraph.connected_components(links, directed=False)[1], np.int64)
+
+
+def enclosed(parts: Sequence[TileParts]) -> list[Bool]:
+    """Which parts (count,) of each tile lead nowhere, with all that they are joined to."""
+    label = joined(parts)
+    leads = np.bincount(label, np.concatenate([each.total for each in parts]), minlength=1) > 0
+    holes = ~leads[label] if len(label) else np.zeros(0, np.bool_)
+    return np.split(holes, np.cumsum([each.count for each in parts])[:-1])
