@@ -107,10 +107,12 @@ def main() -> None:
     random.seed(27)
     equal = killed = 0
     words = [*store, "--dask", "--workers", "2"]
-    for _ in range(a.kills):
-        facts, seen, _, _ = replayed(a.bag, a.folder, words, random.uniform(4.0, 20.0))
+    for k in range(a.kills):
+        after = random.uniform(4.0, 20.0)
+        facts, seen, _, _ = replayed(a.bag, a.folder, words, after)
         facts.pop("tiles")
         equal, killed = equal + (facts == alone), killed + seen["killed"]
+        print(f"run {k + 1}: killed {seen['killed']} after {after:.1f} s, {equal} equal", flush=True)
     if a.kills:
         print(f"{equal} of {a.kills} runs equal, {killed} workers killed")
 
