@@ -55,7 +55,8 @@ class VolumeAnswer(Answer):
     """A volume above a base, or between two surfaces; net = cut − fill.
 
     interval_m3 : where the true volume is with probability ``confidence`` · sigma_holds : which
-    errors ``sigma_m3`` holds · tin : the first surface · made : gives what its files hold
+    errors ``sigma_m3`` holds · tin : the first surface · make_deliverable : gives what its files
+    hold
     """
 
     net_m3: float
@@ -68,7 +69,7 @@ class VolumeAnswer(Answer):
     base: str
     sigma_holds: str
     tin: Tin = field(repr=False)
-    made: Callable[[], Deliverable] = field(repr=False, compare=False)
+    make_deliverable: Callable[[], Deliverable] = field(repr=False, compare=False)
 
     def to_geodataframe(self) -> geopandas.GeoDataFrame:
         """Outlines of what counts, a row each, with volume, sigma and area, in the coordinate
@@ -78,7 +79,7 @@ class VolumeAnswer(Answer):
         """
         from ladar_volume.api.frames import geodataframe_of
 
-        return geodataframe_of(self.made())
+        return geodataframe_of(self.make_deliverable())
 
     def to_xarray(self, cell_m: float | None = None) -> xarray.Dataset:
         """Rasters of ``height``, ``sigma`` and ``base``, m, over y and x; without a cell size about
@@ -88,7 +89,7 @@ class VolumeAnswer(Answer):
         """
         from ladar_volume.api.frames import dataset_of
 
-        return dataset_of(self.made(), cell_m)
+        return dataset_of(self.make_deliverable(), cell_m)
 
     def rows(self) -> list[tuple[str, str]]:
         """Net, interval, cut, fill, area, base."""

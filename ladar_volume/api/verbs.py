@@ -81,8 +81,8 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
     return VolumeAnswer(
         facts=facts,
         interval_m3=tuple(facts["interval_m3"]),
-        tin=found.surfaces[0].made.tin,
-        made=lambda: _map_of(arguments, sources, found),
+        tin=found.surfaces[0].representation.tin,
+        make_deliverable=lambda: _map_of(arguments, sources, found),
         **{name: facts[name] for name in ("net_m3", "sigma_m3", "confidence", "cut_m3", "fill_m3")},
         **{name: facts[name] for name in ("area_m2", "base", "sigma_holds")},
     )

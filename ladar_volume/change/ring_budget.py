@@ -27,11 +27,11 @@ WIDE_EDGES, BRIDGED_SHARE = 8.0, 0.05
 
 @dataclass(frozen=True)
 class RingCheck:
-    """found : with the lines ``ring`` and ``sampling`` in its budget · fit : of the ring before any
-    correction · b : scan B as it was used · correction : its name · verdict
+    """excavation : with the lines ``ring`` and ``sampling`` in its budget · fit : of the ring
+    before any correction · b : scan B as it was used · correction : its name · verdict
     """
 
-    found: Excavation
+    excavation: Excavation
     fit: RingFit
     b: Scan
     correction: str

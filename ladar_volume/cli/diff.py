@@ -163,7 +163,7 @@ def surfaces(arguments: argparse.Namespace, file_a: ScanFile, file_b: ScanFile) 
         pole_map=arguments.pole,
         max_edge_m=arguments.max_edge,
     )
-    found = checked.found
+    found = checked.excavation
     if arguments.output is not None:
         write_mesh(arguments.output, found.between.vertices, found.between.triangles, ["metres"])
     if arguments.resolution is not None:

@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     verdict = sphere_verdict(found, one, two, parts)
     if arguments.apply is not None:
-        cloud, T = read_cloud(arguments.apply), found.found.transform
+        cloud, T = read_cloud(arguments.apply), found.registration.transform
         turned = {name: c @ T.R.T if name == "normal" else c for name, c in cloud.columns.items()}
         write_cloud(arguments.output, T.apply(cloud.r), turned)
     facts = facts_of(found, one, two, parts) | {"verdict": verdict.as_dict()}
@@ -130,7 +130,7 @@ def facts_of(
     parts: list[tuple[SphereMeasurement, SphereMeasurement]],
 ) -> dict[str, Any]:
     """The result as plain values: angles in rad, lengths in m."""
-    found = c.found
+    found = c.registration
     T, number, number_b = found.transform, one.number[c.rows_a], two.number[c.rows_b]
     spheres = [
         {

@@ -205,7 +205,7 @@ def make_surface(
 
 def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
     """What the JSON says of one surface."""
-    made, tin = surface.made, surface.made.tin
+    made, tin = surface.representation, surface.representation.tin
     faces = None if source.mesh is None else face_facts(source.mesh, surface)
     return {
         "path": source.path.name,

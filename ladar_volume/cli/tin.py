@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         status.update(f"triangulating {len(source.cloud.r):,} points")
         surface = make_surface(arguments, source, options, frame, arguments.sigma)
         status.update("covariance of the heights")
-        C = None if surface.sigma_m is None else surface.made.covariance(surface.sigma_m)
+        C = None if surface.sigma_m is None else surface.representation.covariance(surface.sigma_m)
         sigma_z = None if C is None else np.sqrt(C.diagonal())
         status.update("writing")
         output = write_surface(arguments, source, surface, frame, sigma_z)
@@ -68,10 +68,10 @@ def run(arguments: argparse.Namespace) -> int:
         **surface_facts(source, surface),
         "sigma_z_median_m": None
         if sigma_z is None
-        else float(np.median(sigma_z[surface.made.tin.source >= 0])),
+        else float(np.median(sigma_z[surface.representation.tin.source >= 0])),
         "output": output,
         "cleaned": cleaned,
-        "heights": height_facts(surface.made.tin, places, C),
+        "heights": height_facts(surface.representation.tin, places, C),
         "frame": frame_facts(frame),
         "options": option_facts(options),
         "version": version(),
@@ -161,7 +161,9 @@ def write_surface(
     """Write the surface in the map's frame, with the standard deviations (n,), m, of its heights;
     returns what the JSON says of the file.
     """
-    tin = surface.made.tin if frame is None else frame.tin_back(surface.made.tin)
+    tin = (
+        surface.representation.tin if frame is None else frame.tin_back(surface.representation.tin)
+    )
     vertices, faces = write_tin(
         arguments.output,
         in_cloud(tin, source.cloud.rows[surface.index]),
@@ -174,9 +176,9 @@ def write_surface(
 
 def surface_verdict(facts: Mapping[str, Any], surface: CloudSurface) -> list[Doubt]:
     """What speaks against the surface of points: strays, and holes that were bridged."""
-    if surface.given is not None:
+    if surface.given_faces is not None:
         return []
-    tin = surface.made.tin
+    tin = surface.representation.tin
     found = stray_doubts(facts["clean"]["strays"], facts["points"] - facts["copies"])
     return found + surface_doubts(surface, counted_areas(surface, tin.relevant))
 

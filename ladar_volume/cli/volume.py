@@ -331,7 +331,10 @@ def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:
         turned = tuple(task.frame.plane(np.array(task.arguments.plane)).tolist())
         volume = dataclasses.replace(volume, plane=turned)
     elif task.base in ("lowest", "front"):
-        tins, offset = (surfaces[0].made.tin, surfaces[1].made.tin), offset_of(task)
+        tins, offset = (
+            (surfaces[0].representation.tin, surfaces[1].representation.tin),
+            offset_of(task),
+        )
         level = zero_fill_level(*tins, offset)
         if task.base == "front":
             level = front_level(*tins, (highest(tins) - level) / SEARCHED_LEVELS, offset)
@@ -374,7 +377,7 @@ def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
         site = pile_volumes(task.arguments, asked, task.outlines, surfaces, task.progress)
         inside = np.sum([pile.inside_m2 for pile in site.piles], axis=0)
         return CutFill(site.total, parameters, None, [inside > 0], [], site)
-    relevant = [s.made.tin.relevant for s in surfaces]
+    relevant = [s.representation.tin.relevant for s in surfaces]
     if task.base == "cloud":
         volume = between_clouds(first, surfaces[1], "the second", correct)
         return CutFill(volume, parameters, None, relevant, [])
@@ -409,7 +412,7 @@ def volume_verdict(
     if found.site is not None:
         verdict, facts = pile_facts(found.site, task.arguments, found.parameters)
         return JudgedVolume(found.volume, verdict, facts)
-    if len(surfaces) == 1 and surfaces[0].given is None:
+    if len(surfaces) == 1 and surfaces[0].given_faces is None:
         readings, base = None, found.level_base
         if task.base == "floor":
             base = design_surface([found.parameters.volume.level_m])
@@ -422,10 +425,10 @@ def volume_verdict(
         return JudgedVolume(volume, verdict, facts)
     verdict = Verdict()
     for surface, area in zip(surfaces, areas, strict=True):
-        if surface.given is None:
+        if surface.given_faces is None:
             verdict += Verdict(tuple(surface_doubts(surface, area)))
     volume = found.volume
-    if task.base == "cloud" and all(s.given is None for s in surfaces):
+    if task.base == "cloud" and all(s.given_faces is None for s in surfaces):
         volume, more = pair_verdict(volume, surfaces, areas, pair_ground(surfaces))
         verdict += more
     return JudgedVolume(volume, verdict, {})
@@ -446,7 +449,7 @@ def stray_facts(
             r = source.cloud.r[surface.strays]
             r = r if task.frame is None else task.frame.points(r)
             area = counted_areas(surface, mask)
-            effect += sign * stray_effect(surface.made.tin, area, r, found.level_base)
+            effect += sign * stray_effect(surface.representation.tin, area, r, found.level_base)
     return {
         "how": task.arguments.clean,
         "strays": strays,

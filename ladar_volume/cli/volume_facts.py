@@ -57,7 +57,9 @@ def pair_facts(
 ) -> dict[str, Any]:
     """Volumes of a body by pairs of levels, one of each surface (seed 000 Table 5.7)."""
     compare = method_one if method == 1 else method_two
-    found = compare(surfaces[0].made.tin, surfaces[1].made.tin, levels, offset_m)
+    found = compare(
+        surfaces[0].representation.tin, surfaces[1].representation.tin, levels, offset_m
+    )
     return {
         "method": method,
         "part": "fill" if method == 1 else "cut",
@@ -118,7 +120,7 @@ def _sequence_facts(
 def _offset_facts(first: CloudSurface, second: CloudSurface, levels: F64) -> dict[str, Any]:
     """The offset between the sequences of two surfaces, or why there is none."""
     try:
-        offset = surface_offset(first.made.tin, second.made.tin, levels)
+        offset = surface_offset(first.representation.tin, second.representation.tin, levels)
     except VolumeError as error:
         return {"offset_m": None, "why": str(error)}
     return {"offset_m": offset.offset_m, "sigma_m": offset.sigma_m, "levels": offset.levels}

@@ -82,7 +82,7 @@ def between_points(
     triangles whose gaps nothing else tells of, None for all. Steps and curvature are 0 where the
     points are too few to tell.
     """
-    tin = surface.made.tin
+    tin = surface.representation.tin
     hidden = unseen(surface, inside if untold is None else np.where(untold, inside, 0.0), height)
     spacing, own = spacings(tin.vertices[:, :2]), along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)
@@ -187,7 +187,7 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64
     blocks, m³; the variance, m⁶, that the noise gives to the whole; and how wide the triangles then
     are, m. xy : (n, 2) m, all vertices along their own axes.
     """
-    tin = surface.made.tin
+    tin = surface.representation.tin
     coarse = build_tin(tin.vertices[kept])
     own = np.flatnonzero(inside > 0)
     corners, above = tin.triangles[own], kept[coarse.source][coarse.triangles]
@@ -216,7 +216,7 @@ def noise_of(surface: CloudSurface, gradient: F64) -> float:
     """
     if surface.sigma_m is None:
         return 0.0
-    source = surface.made.tin.source
+    source = surface.representation.tin.source
     sigma = np.where(source >= 0, surface.sigma_m[source], 0.0)
     return float(((gradient * sigma) ** 2).sum())
 
@@ -226,14 +226,14 @@ def unseen(surface: CloudSurface, inside: F64, height: F64) -> float:
     the difference in height between their corners, in all of them alike. The truth is some step or
     hollow between the corners; a triangle holds a third or two thirds of it.
     """
-    tin, own = surface.made.tin, bridges(surface) & (inside > 0)
+    tin, own = surface.representation.tin, bridges(surface) & (inside > 0)
     corner = height[tin.triangles[own]]
     return float((inside[own] * np.ptp(corner, axis=1)).sum()) / 3.0
 
 
 def bridges(surface: CloudSurface) -> Bool:
     """The triangles (m,) that bridge what was not sampled."""
-    found, count = surface.made.sampled, len(surface.made.tin.triangles)
+    found, count = surface.representation.sampled, len(surface.representation.tin.triangles)
     if found is None or len(found.bridged) != count:
         return np.zeros(count, bool)
     return found.bridged

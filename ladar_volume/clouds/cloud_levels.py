@@ -43,7 +43,7 @@ def sequence(surface: CloudSurface, levels_m: F64, base: Plane | None = None) ->
     corrected near the levels: noise widens the spikes of second differences and leaves their
     centroids, so events and offsets are read off this.
     """
-    return cut_sequence(surface.made.tin, levels_m, base)
+    return cut_sequence(surface.representation.tin, levels_m, base)
 
 
 def folded_levels(surface: CloudSurface, found: Sequence, base: Plane | None = None) -> F64:
@@ -55,7 +55,10 @@ def folded_levels(surface: CloudSurface, found: Sequence, base: Plane | None = N
     if not surface.sigma_m.any():
         return np.zeros(len(found.level_m))
     correction = near_levels(
-        surface.made.tin, found.level_m, surface.made.covariance(surface.sigma_m), base
+        surface.representation.tin,
+        found.level_m,
+        surface.representation.covariance(surface.sigma_m),
+        base,
     )
     return np.minimum(correction, np.minimum(found.cut_m3, found.fill_m3))
 
@@ -72,7 +75,9 @@ def events(
     if not seen:
         return (), np.zeros(0)
     floors = _floors(found, seen)
-    gradient = np.stack([event_gradient(surface.made.tin, floors, e, base) for e in seen], axis=1)
+    gradient = np.stack(
+        [event_gradient(surface.representation.tin, floors, e, base) for e in seen], axis=1
+    )
     return seen, np.sqrt(surface.variance(gradient))
 
 
@@ -102,7 +107,7 @@ def above_floor(
             "no level stands out: the surface has no flat part among these levels",
             reason="volume_no_floor",
         )
-    floor, tin = seen[0], surface.made.tin
+    floor, tin = seen[0], surface.representation.tin
     volume = dataclasses.replace(parameters.volume, base="level", level_m=floor.level_m)
     p = dataclasses.replace(parameters, volume=volume)
     base = design_surface([floor.level_m])

@@ -35,11 +35,12 @@ class CloudSurface:
     """points : (n, 3) m, those used, in the frame of the surface · index : (n,) their rows in the
     cloud · sigma_m : (n,) m standard deviations of their heights, None where they are not known ·
     sigma_from : where these come from, in words · outliers : (k,) rows of the cloud that the screen
-    deleted or the median filter changed · made : the surface, its ``source`` numbering ``points`` ·
-    strays : (s,) rows of the cloud that are none of its surface, left out · copies : points left
-    out because another has the same coordinates · given : the faces of a mesh that it is, None for
-    a cloud · doubts : what makes it doubtful · shared : errors that neighbouring heights share ·
-    flight : calibration and navigation of the points, where their trajectory is known
+    deleted or the median filter changed · representation : the surface, its ``source`` numbering
+    ``points`` · strays : (s,) rows of the cloud that are none of its surface, left out · copies :
+    points left out because another has the same coordinates · given_faces : the faces of a mesh
+    that it is, None for a cloud · doubts : what makes it doubtful · shared : errors that
+    neighbouring heights share · flight : calibration and navigation of the points, where their
+    trajectory is known
     """
 
     points: F64
@@ -47,10 +48,10 @@ class CloudSurface:
     sigma_m: F64 | None
     sigma_from: str
     outliers: I64
-    made: RepresentedSurface
+    representation: RepresentedSurface
     strays: I64 = field(default_factory=lambda: np.zeros(0, np.int64))
     copies: int = 0
-    given: GivenSurface | None = None
+    given_faces: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
     shared: tuple[HeightError, ...] = ()
     flight: FlightErrors | None = None
@@ -60,7 +61,7 @@ class CloudSurface:
         """Variances (n,) m² of the points at the vertices; adjusted heights have no more. 0 where
         the noise is not known.
         """
-        source = self.made.tin.source
+        source = self.representation.tin.source
         if self.sigma_m is None:
             return np.zeros(len(source))
         return np.where(source >= 0, self.sigma_m[source] ** 2, 0.0)
@@ -71,17 +72,19 @@ class CloudSurface:
         """
         if self.sigma_m is None:
             return np.full(gradient_z.shape[1], np.nan)
-        raw = self.made.by_heights(gradient_z, len(self.points))
-        out: F64 = self.made.variance_factor * np.einsum("nk,nk,n->k", raw, raw, self.sigma_m**2)
+        raw = self.representation.by_heights(gradient_z, len(self.points))
+        out: F64 = self.representation.variance_factor * np.einsum(
+            "nk,nk,n->k", raw, raw, self.sigma_m**2
+        )
         return out
 
     def shared_lines(self, gradient_z: F64) -> dict[str, F64]:
         """Variances (k,), by shared error, of k results with gradients (n, k) by the heights."""
-        xy = self.made.tin.vertices[:, :2]
+        xy = self.representation.tin.vertices[:, :2]
         out = {e.name: shared_variances(xy, gradient_z, e) for e in self.shared}
         if self.flight is None:
             return out
-        raw = self.made.by_heights(gradient_z, len(self.points))
+        raw = self.representation.by_heights(gradient_z, len(self.points))
         return out | self.flight.lines(self.points, self.slopes, raw)
 
     @cached_property
@@ -89,7 +92,7 @@ class CloudSurface:
         """Slopes dh/dx, dh/dy (n, 2) of the surface at the points: of a point that is no vertex,
         those of the nearest one.
         """
-        tin, n = self.made.tin, len(self.points)
+        tin, n = self.representation.tin, len(self.points)
         own = tin.source >= 0
         slope = vertex_slopes(tin)[own]
         out = np.full((n, 2), np.nan)

@@ -129,7 +129,7 @@ def has_selected_vertices(surface: CloudSurface) -> bool:
     """Whether the vertices are some of the points, chosen by their heights; copies of a footprint
     are not.
     """
-    made = surface.made
+    made = surface.representation
     footprints = len(surface.points) - made.cropped - made.tin.duplicates
     return int(np.count_nonzero(made.tin.source >= 0)) < footprints
 
@@ -154,10 +154,10 @@ def above_base(
     Raises :class:`GroundError` where no ground can be fitted, :class:`VolumeError` where nothing
     lies inside the outline.
     """
-    tin = surface.made.tin
+    tin = surface.representation.tin
     C = None
     if parameters.volume.base == "ground" and surface.sigma_m is not None:
-        C = surface.made.covariance(surface.sigma_m)
+        C = surface.representation.covariance(surface.sigma_m)
     variance = np.zeros(len(tin.vertices)) if C is None else C.diagonal()
     base, inside = ground_and_outline(tin, variance, parameters)
     solid = solid_above(surface, base, inside, parameters, variance, correct, C)
@@ -203,7 +203,7 @@ def solid_above(
     """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the outline,
     covariance (n, n) m² that of the heights, where it is known already.
     """
-    tin, mask = surface.made.tin, inside > 0
+    tin, mask = surface.representation.tin, inside > 0
     by_polygon = parameters.volume.outline == "polygon"
     found = solid_within(tin, base, mask, parameters)
     volumes, base_net = (found.cut_m3, found.fill_m3, found.area_m2), found.base_net
@@ -214,7 +214,7 @@ def solid_above(
     whole = whole_triangles(tin, inside) if by_polygon else mask
     height = height_above(tin.vertices, base)
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
-        C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
+        C = surface.representation.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole, selected=has_selected_vertices(surface))
         curved = near.curved_m6 + near.remaining.sigma_m3**2
         cut = cut if by_polygon else near.gradient_cut
@@ -238,7 +238,7 @@ def between_clouds(
 
     Raises :class:`VolumeError` where the two have no area in common.
     """
-    one, two = upper.made.tin, lower.made.tin
+    one, two = upper.representation.tin, lower.representation.tin
     found, near, curved = between(one, two), None, 0.0
     net, cut = (
         [found.gradient_net[:, 2], found.lower_net[:, 2]],
@@ -267,14 +267,17 @@ def near_difference(
     """
     if upper.sigma_m is None or lower.sigma_m is None:
         return None, ()
-    (one, first), (two, second) = along_curve(upper.made.tin), along_curve(lower.made.tin)
+    (one, first), (two, second) = (
+        along_curve(upper.representation.tin),
+        along_curve(lower.representation.tin),
+    )
     apart = difference(one, two)
     sigma = np.array([math.hypot(upper.sigma_m.max(), lower.sigma_m.max())])
     if not comes_near(apart.tin, apart.tin.vertices[:, 2], sigma, apart.tin.relevant):
         return None, ()
     C_one, C_two = (
-        upper.made.covariance(upper.sigma_m)[first][:, first],
-        lower.made.covariance(lower.sigma_m)[second][:, second],
+        upper.representation.covariance(upper.sigma_m)[first][:, first],
+        lower.representation.covariance(lower.sigma_m)[second][:, second],
     )
     own, other, below = (C_one, C_two, two) if apart.upper_carries else (C_two, C_one, one)
     C = apart.covariance(own, below, other)

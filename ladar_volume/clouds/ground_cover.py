@@ -37,7 +37,7 @@ def steep_vertices(surface: CloudSurface, object_height_m: float, scatter_m: flo
     """Vertices (n,) at the upper end of an edge steeper than 60° that climbs twice what a body
     rises at least, and more than the scatter of the body's points can.
     """
-    return steep_edges(surface.made.tin, max(2.0 * object_height_m, CLIMB * scatter_m))
+    return steep_edges(surface.representation.tin, max(2.0 * object_height_m, CLIMB * scatter_m))
 
 
 def steep_edges(tin: Tin, least_m: float) -> Bool:
@@ -74,7 +74,7 @@ def body_scatter(surface: CloudSurface, high: Bool) -> float:
     """Scatter, m, of the points at the vertices ``high`` (n,) of a body about local quadrics; NaN
     where they are too few.
     """
-    source = surface.made.tin.source[high]
+    source = surface.representation.tin.source[high]
     rows = source[source >= 0].astype(np.int64)
     if len(rows) < FEWEST:
         return math.nan
@@ -83,7 +83,7 @@ def body_scatter(surface: CloudSurface, high: Bool) -> float:
 
 def body_vertices(surface: CloudSurface, base: Plane, inside: Bool, object_height_m: float) -> Bool:
     """Vertices (n,) of the triangles (m,) inside an outline that rise above the base."""
-    tin = surface.made.tin
+    tin = surface.representation.tin
     return vertex_mask(tin, inside) & (height_above(tin.vertices, base) > object_height_m)
 
 
@@ -93,7 +93,7 @@ def growth_above_ground(surface: CloudSurface, base: Plane, high: Bool, body_m: 
 
     The ground is looked at by directions about the body, since plants may stand on one side only.
     """
-    tin, points, body = surface.made.tin, surface.points, body_m
+    tin, points, body = surface.representation.tin, surface.points, body_m
     source = tin.source
     low = base.support[source[base.support] >= 0]
     if len(low) < FEWEST or math.isnan(body):

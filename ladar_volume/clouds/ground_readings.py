@@ -47,7 +47,7 @@ def ground_readings(
     """The readings; inside (m,) m² is the area of each triangle within the outline. None where
     nothing lies around it. ring : (k,) vertices around it, where not all are ground.
     """
-    tin, p, variance = surface.made.tin, parameters.volume, surface.vertex_variance
+    tin, p, variance = surface.representation.tin, parameters.volume, surface.vertex_variance
     mask = inside > 0
     if ring is None:
         ring = surroundings(tin, mask, p.ground_ring_m if p.outline == "auto" else 0.0)

@@ -98,6 +98,6 @@ def mesh_surface(
         words,
         np.zeros(0, np.int64),
         made,
-        given=found,
+        given_faces=found,
         doubts=doubts_of(found) + more,
     )

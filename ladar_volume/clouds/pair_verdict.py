@@ -116,24 +116,24 @@ def with_offset(volume: CloudVolume, found: UnchangedPart) -> tuple[CloudVolume,
 
 @dataclass(frozen=True)
 class PairGround:
-    """tin : upper minus lower over what both saw · found : where they are alike · least_m : apart
-    beyond chance · on_face : (n,) vertices on steep faces
+    """tin : upper minus lower over what both saw · unchanged : where they are alike · least_m :
+    apart beyond chance · on_face : (n,) vertices on steep faces
     """
 
     tin: Tin
-    found: UnchangedPart
+    unchanged: UnchangedPart
     least_m: float
     on_face: Bool
 
     @property
     def level(self) -> Plane:
         """Height of the difference where nothing changed."""
-        return design_surface([self.found.offset_m])
+        return design_surface([self.unchanged.offset_m])
 
     @property
     def is_distinguishable(self) -> bool:
         """Whether enough did not change, and enough did, to tell the two apart."""
-        return self.found.share >= SAME and self.found.changed >= OTHER
+        return self.unchanged.share >= SAME and self.unchanged.changed >= OTHER
 
 
 def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
@@ -143,7 +143,7 @@ def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
     sigmas = [s.sigma_m for s in surfaces]
     if sigmas[0] is None or sigmas[1] is None:
         return None
-    tin = difference(surfaces[0].made.tin, surfaces[1].made.tin).common()
+    tin = difference(surfaces[0].representation.tin, surfaces[1].representation.tin).common()
     found = unchanged_part(tin) if len(tin.triangles) else None
     if found is None:
         return None
@@ -176,7 +176,7 @@ def edge_doubts(
 
 def overlap_area(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:
     """The area (m,) m² of a surface's triangles that lie over the other one; 0 elsewhere."""
-    tin, below = surface.made.tin, other.made.tin
+    tin, below = surface.representation.tin, other.representation.tin
     middle = tin.vertices[tin.triangles, :2].mean(axis=1)
     there: Bool = locate(triangle_index(below, below.relevant), middle) >= 0
     return np.where(there, area, 0.0)
@@ -191,7 +191,7 @@ def with_pair_gaps(
     doubts: list[Doubt] = []
     pairs = zip(surfaces, surfaces[::-1], areas, (1.0, -1.0), strict=True)
     for surface, other, area, sign in pairs:
-        tin = surface.made.tin
+        tin = surface.representation.tin
         inside = overlap_area(surface, other, area)
         gaps = find_gaps(tin, inside)
         if not len(gaps.areas):
@@ -231,9 +231,9 @@ def pair_verdict(
     tin, least = ground.tin, ground.least_m
     within = np.ones(len(tin.triangles), np.bool_) if inside is None else inside
     doubts += edge_doubts(ground, within, volume, inside is not None)
-    height = tin.vertices[tin.triangles, 2].mean(axis=1) - ground.found.offset_m
+    height = tin.vertices[tin.triangles, 2].mean(axis=1) - ground.unchanged.offset_m
     changed = within & (np.abs(height) > least)
     if changed.any():
         doubts += wall_doubts(tin, ground.level, changed, ground.on_face, least)
-    volume, more = with_offset(volume, ground.found)
+    volume, more = with_offset(volume, ground.unchanged)
     return volume, Verdict(tuple(doubts + more))

@@ -67,7 +67,7 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
     """The parts (joined by edges) of an outline, the largest by area first, ``most`` of them;
     inside (m,) m² is the area of each triangle in it.
     """
-    tin, mask = surface.made.tin, inside > 0
+    tin, mask = surface.representation.tin, inside > 0
     part = parts_kernel(tin.neighbours, mask)
     area = np.bincount(part[mask], inside[mask], minlength=1)
     out = []
@@ -96,7 +96,7 @@ def border(tin: Tin, mask: Bool) -> tuple[I32, F64, Bool]:
 
 def open_share(surface: CloudSurface, mask: Bool) -> float:
     """Share of the boundary of triangles (m,), by length, beyond which there is no surface."""
-    _, length, open_ = border(surface.made.tin, mask)
+    _, length, open_ = border(surface.representation.tin, mask)
     total = float(length.sum())
     return float(length[open_].sum()) / total if total > 0 else 0.0
 
@@ -107,7 +107,7 @@ def shrunk_doubts(
     """A surface of some of the points ends before they do, by the chords of its outline; height
     (n,) m of the vertices above the base.
     """
-    made = surface.made
+    made = surface.representation
     if made.sampled is None or not has_selected_vertices(surface):
         return []
     tin = made.tin
@@ -240,7 +240,7 @@ def with_gaps(
     triangles (m,) over gaps of which that tells; and the doubts. Unless it ``moves``, the volume
     stays that of the triangles, as in a sequence of levels, and what it would move by is in sigma.
     """
-    tin = surface.made.tin
+    tin = surface.representation.tin
     gap_mask = np.zeros(len(tin.triangles), np.bool_)
     if base is None or surface.sigma_m is None or math.isnan(volume.sigma_m3):
         return volume, gap_mask, []
@@ -306,7 +306,7 @@ def volume_with_verdict(
     triangle that counts · readings : of the ground, where it is the cloud's own · base : that
     heights count from.
     """
-    tin, by_body = surface.made.tin, parameters.volume.outline == "auto"
+    tin, by_body = surface.representation.tin, parameters.volume.outline == "auto"
     volume, gap_mask, gaps = with_gaps(
         volume, surface, inside, base, parameters.volume.outline != "all"
     )
@@ -353,5 +353,5 @@ def with_growth(
 
 def counted_areas(surface: CloudSurface, mask: Bool) -> F64:
     """Area (m,) m² of the triangles in the mask (m,), 0 elsewhere."""
-    tin = surface.made.tin
+    tin = surface.representation.tin
     return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)

@@ -61,12 +61,12 @@ CELLS_M = (0.015, 0.03, 0.06, 0.12, 0.24)
 
 @dataclass(frozen=True)
 class Body:
-    """One layer measured: exact volume m³ · found · density found and true, kg/m³ · the spheres
-    used, of scan A and B, and what each scan's test left out
+    """One layer measured: exact volume m³ · excavation · density found and true, kg/m³ · the
+    spheres used, of scan A and B, and what each scan's test left out
     """
 
     true_m3: float
-    found: Excavation
+    excavation: Excavation
     rho: Density
     true_kg_m3: float
     used: tuple[list[int], list[int]]
@@ -74,7 +74,7 @@ class Body:
     @property
     def error_pct(self) -> float:
         """Error of the volume, %."""
-        return 100.0 * (self.found.removed_m3 / self.true_m3 - 1.0)
+        return 100.0 * (self.excavation.removed_m3 / self.true_m3 - 1.0)
 
 
 @dataclass(frozen=True)
@@ -202,12 +202,14 @@ def run(seeds: int, progress: Callable[[str], None] = lambda text: None) -> Stud
 
 def size_shares(body: Body, sigma_m: float = RANGE_SIGMA_M) -> dict[str, float]:
     """Each class of error of this body with 1 cm, as a share of its volume."""
-    d = body.found.between
+    d = body.excavation.between
     spacing = float(
-        np.sqrt((d.area_a_m2 + d.area_b_m2) / (body.found.in_a.sum() + body.found.in_b.sum()))
+        np.sqrt(
+            (d.area_a_m2 + d.area_b_m2) / (body.excavation.in_a.sum() + body.excavation.in_b.sum())
+        )
     )
     return relative_errors(
-        body.found.area_m2,
+        body.excavation.area_m2,
         body.true_m3,
         offset_m=sigma_m,
         noise_m=sigma_m,
@@ -221,24 +223,26 @@ def summary(study: Study) -> dict[str, Any]:
     """The numbers of the study as plain values."""
     every = [b for row in study.bodies for b in row]
     error = np.array([b.error_pct for b in every])
-    sigma = np.array([100.0 * b.found.sigma_m3 / b.true_m3 for b in every])
-    normal = np.array([(b.found.removed_m3 - b.true_m3) / b.found.sigma_m3 for b in every])
-    published = np.array([100.0 * (b.found.published_m3 / b.true_m3 - 1.0) for b in every])
+    sigma = np.array([100.0 * b.excavation.sigma_m3 / b.true_m3 for b in every])
+    normal = np.array(
+        [(b.excavation.removed_m3 - b.true_m3) / b.excavation.sigma_m3 for b in every]
+    )
+    published = np.array([100.0 * (b.excavation.published_m3 / b.true_m3 - 1.0) for b in every])
     rho = np.array([100.0 * (b.rho.density_kg_m3 / b.true_kg_m3 - 1.0) for b in every])
     inside = [b.rho.interval_kg_m3[0] <= b.true_kg_m3 <= b.rho.interval_kg_m3[1] for b in every]
     s = study.resolution
     return {
         "bodies": len(every),
         "true_m3": [b.true_m3 for b in every],
-        "volume_m3": [b.found.removed_m3 for b in every],
-        "sigma_m3": [b.found.sigma_m3 for b in every],
-        "closed_m3": [b.found.closed_m3 for b in every],
-        "watertight": all(watertight(b.found.between.triangles) for b in every),
+        "volume_m3": [b.excavation.removed_m3 for b in every],
+        "sigma_m3": [b.excavation.sigma_m3 for b in every],
+        "closed_m3": [b.excavation.closed_m3 for b in every],
+        "watertight": all(watertight(b.excavation.between.triangles) for b in every),
         "bias_pct": float(error.mean()),
         "spread_pct": spread(error),
         "predicted_sigma_pct": float(np.sqrt((sigma**2).mean())),
         "coverage_95": float(np.mean(np.abs(normal) <= 1.96)),
-        "pole_spread": max(b.found.between.pole_spread_m3 / b.true_m3 for b in every),
+        "pole_spread": max(b.excavation.between.pole_spread_m3 / b.true_m3 for b in every),
         "published_bias_pct": float(published.mean()),
         "published_spread_pct": spread(published),
         "density_bias_pct": float(rho.mean()),

@@ -22,16 +22,17 @@ def volumes(study: Study) -> str:
     for k in range(len(study.bodies[0])):
         b = [row[k] for row in study.bodies]
         printed = "16 (body #2)" if k == 1 else "not printed"
+        predicted_pct = np.array([100 * x.excavation.sigma_m3 / x.true_m3 for x in b])
         rows.append(
             [
                 str(k + 1),
                 f"{np.mean([x.true_m3 for x in b]):.3f}",
                 printed,
-                f"{np.mean([x.found.removed_m3 for x in b]):.3f}",
+                f"{np.mean([x.excavation.removed_m3 for x in b]):.3f}",
                 with_spread(np.array([x.error_pct for x in b]), ".3f"),
-                f"{np.sqrt(np.mean([(100 * x.found.sigma_m3 / x.true_m3) ** 2 for x in b])):.3f}",
+                f"{np.sqrt(np.mean(predicted_pct**2)):.3f}",
                 with_spread(
-                    np.array([100 * (x.found.published_m3 / x.true_m3 - 1) for x in b]), ".2f"
+                    np.array([100 * (x.excavation.published_m3 / x.true_m3 - 1) for x in b]), ".2f"
                 ),
             ]
         )
@@ -80,7 +81,7 @@ def densities(study: Study) -> str:
 
 def budget(study: Study) -> str:
     """Where the uncertainty of the volume comes from."""
-    every = [b.found for row in study.bodies for b in row]
+    every = [b.excavation for row in study.bodies for b in row]
     total = sum(b.sigma_m3**2 for b in every)
     rows = []
     for name in every[0].budget_m6:
@@ -177,12 +178,12 @@ def errors(study: Study) -> Figure:
     for k in range(len(study.bodies[0])):
         b = [row[k] for row in study.bodies]
         at = np.arange(n) + 0.2 * (k - 1)
-        half = [196.0 * x.found.sigma_m3 / x.true_m3 for x in b]
+        half = [196.0 * x.excavation.sigma_m3 / x.true_m3 for x in b]
         axes[0, 0].errorbar(
             at, [x.error_pct for x in b], half, fmt="o", ms=3, capsize=2, label=f"body {k + 1}"
         )
         axes[0, 1].plot(
-            at, [100 * (x.found.published_m3 / x.true_m3 - 1) for x in b], "x", color=f"C{k}"
+            at, [100 * (x.excavation.published_m3 / x.true_m3 - 1) for x in b], "x", color=f"C{k}"
         )
     for ax, name in zip(
         axes[0],

@@ -21,7 +21,7 @@ def found_piles(surface: CloudSurface, parameters: Parameters) -> list[Pile]:
     """
     volume = dataclasses.replace(parameters.volume, base="ground", outline="auto", bodies=0)
     own = dataclasses.replace(parameters, volume=volume)
-    tin = surface.made.tin
+    tin = surface.representation.tin
     base, inside = ground_and_outline(tin, surface.vertex_variance, own)
     rings = [boundary_loop(tin, m > 0) for m in area_by_body(tin, base, inside, volume)]
     rings = [np.ascontiguousarray(ring) for ring in rings if len(ring) >= 3]

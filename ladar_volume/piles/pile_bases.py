@@ -47,7 +47,7 @@ class PilePart:
     @property
     def tin(self) -> Tin:
         """The surface of the site."""
-        return self.surface.made.tin
+        return self.surface.representation.tin
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def pile_part(surface: CloudSurface, pile: Pile) -> PilePart:
     """The part of a surface within the outline. Raises :class:`VolumeError` (volume_no_triangle)
     where there is none.
     """
-    tin = surface.made.tin
+    tin = surface.representation.tin
     weights = weights_inside(tin, check_polygon(pile.ring))
     inside = np.maximum(weights.sum(axis=1), 0.0)
     if not inside.any():
@@ -226,10 +226,12 @@ def solid_above_second(part: PilePart, second: CloudSurface) -> Solid:
     net = above_second(part, second)
     assert net.second is not None
     upper = dataclasses.replace(part.tin, relevant=part.inside_m2 > 0)
-    apart = difference(upper, second.made.tin)
+    apart = difference(upper, second.representation.tin)
     found = clipped_prismoids(apart.tin, ZERO, part.pile.ring)
     own = found.gradient_cut[:, 2]
-    shape = len(second.made.tin.vertices) if apart.upper_carries else len(part.tin.vertices)
+    shape = (
+        len(second.representation.tin.vertices) if apart.upper_carries else len(part.tin.vertices)
+    )
     other = -np.bincount(apart.corner.ravel(), (apart.weight * own[:, None]).ravel(), shape)
     cuts = (own, other) if apart.upper_carries else (-other, -own)
     missing = 0.5 * (

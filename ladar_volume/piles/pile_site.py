@@ -68,13 +68,13 @@ Made = Plane | ToeBase | LadarVolumeError
 
 def site_of(surface: CloudSurface, piles: Sequence[Pile], parameters: Parameters) -> Site:
     """The site without its piles."""
-    tin = surface.made.tin
+    tin = surface.representation.tin
     within = np.zeros(len(tin.triangles), bool)
     for pile in piles:
         within |= areas_inside(tin, check_polygon(pile.ring)) > 0
     covariance = None
     if surface.sigma_m is not None:
-        covariance = surface.made.covariance(surface.sigma_m)
+        covariance = surface.representation.covariance(surface.sigma_m)
     around = surroundings(tin, within, 0.0)
     coarse = parameters.volume.object_height_m / 2
     ground: Plane | GroundError

@@ -122,12 +122,12 @@ def pair_with_verdict(
     assert task.second is not None
     surfaces = [site.surface, task.second]
     ring = check_polygon(part.pile.ring)
-    areas = [part.inside_m2, areas_inside(task.second.made.tin, ring)]
+    areas = [part.inside_m2, areas_inside(task.second.representation.tin, ring)]
     verdict = Verdict()
     for surface, area in zip(surfaces, areas, strict=True):
-        if surface.given is None:
+        if surface.given_faces is None:
             verdict += Verdict(tuple(surface_doubts(surface, area)))
-    if any(surface.given is not None for surface in surfaces):
+    if any(surface.given_faces is not None for surface in surfaces):
         return volume, verdict
     inside = None if site.pair is None else areas_inside(site.pair.tin, ring) > 0
     volume, more = pair_verdict(volume, surfaces, areas, site.pair, inside)

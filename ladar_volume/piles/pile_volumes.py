@@ -204,7 +204,7 @@ def refused_doubts(refused: Sequence[RefusedPile]) -> list[Doubt]:
 
 def twice_doubts(surface: CloudSurface, piles: Sequence[PileVolume]) -> list[Doubt]:
     """Outlines lie over one another, so that the sum counts a part twice."""
-    tin = surface.made.tin
+    tin = surface.representation.tin
     own = footprint_areas(tin.vertices, tin.triangles)
     total = np.sum([pile.inside_m2 for pile in piles], axis=0)
     twice = float(np.maximum(total - own, 0.0)[tin.relevant].sum())

@@ -49,12 +49,12 @@ class Centres:
 
 @dataclass(frozen=True)
 class Correspondence:
-    """found : of the spheres in these rows · rows_a, rows_b : (k,) of both sets · renumbered :
-    whether the distances and not the numbers told · others : how many other numberings lay as many
-    spheres on one another
+    """registration : of the spheres in these rows · rows_a, rows_b : (k,) of both sets · renumbered
+    : whether the distances and not the numbers told · others : how many other numberings lay as
+    many spheres on one another
     """
 
-    found: Registration
+    registration: Registration
     rows_a: I64
     rows_b: I64
     renumbered: bool

@@ -97,8 +97,8 @@ def numbering_doubts(c: Correspondence, a: Centres, b: Centres) -> list[Doubt]:
 def rejected_doubts(c: Correspondence, a: Centres) -> list[Doubt]:
     """Doubts about spheres that were left out."""
     out = []
-    for i in np.flatnonzero(~c.found.used):
-        off = float(np.linalg.norm(c.found.residuals[i]))
+    for i in np.flatnonzero(~c.registration.used):
+        off = float(np.linalg.norm(c.registration.residuals[i]))
         out.append(
             Doubt(
                 "left_out",
@@ -112,7 +112,7 @@ def rejected_doubts(c: Correspondence, a: Centres) -> list[Doubt]:
 
 def residual_doubts(c: Correspondence) -> list[Doubt]:
     """Doubts about spheres that agree less than their noise says, and about the scale."""
-    out, f = [], c.found
+    out, f = [], c.registration
     if not f.consistent:
         out.append(
             Doubt(
@@ -145,7 +145,7 @@ def geometry_doubt(c: Correspondence, a: Centres) -> list[Doubt]:
     """A doubt where the centres lie nearly on one line, or in a plane that is turned upside down;
     a levelled instrument is free of both.
     """
-    used, T = a.r[c.rows_a[c.found.used]], c.found.transform
+    used, T = a.r[c.rows_a[c.registration.used]], c.registration.transform
     spread, sigma = spread_of(used), np.sqrt(np.diag(T.C)[:3])
     if T.R[2, 2] < 0.0 and (len(used) < 4 or spread[2] <= FLAT_SHARE * spread[0]):
         tilt = float(np.degrees(np.arccos(np.clip(T.R[2, 2], -1.0, 1.0))))

@@ -71,10 +71,10 @@ def write_cloud_report(report: CloudReport, page: Path) -> None:
 
 def _scene(report: CloudReport) -> Scene:
     first = report.surfaces[0]
-    tin = first.made.tin
+    tin = first.representation.tin
     base_at = base_of_piles(report) if report.piles else base_of_plane(report.base)
     if report.base is None and len(report.surfaces) == 2:
-        second = report.surfaces[1].made.tin
+        second = report.surfaces[1].representation.tin
 
         def base_at(xy: F64) -> F64:
             return height_at(second, xy)
@@ -161,7 +161,7 @@ def _outlines(report: CloudReport) -> list[F64]:
     """The outlines of piles, or the outer rings (k, 2) of the largest parts that count."""
     if report.piles:
         return [ring for ring, _ in report.piles]
-    tin = report.surfaces[0].made.tin
+    tin = report.surfaces[0].representation.tin
     part = components(tin, report.counted)
     count = np.bincount(part[part >= 0])
     largest = np.argsort(-count, kind="stable")[:OUTLINES]

@@ -54,10 +54,10 @@ class Integrals(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Of one chunk. w : (rows, corners) of the clipping · found : (n,) triangles met."""
+    """Of one chunk. w : (rows, corners) of the clipping · triangles : (n,) triangles met."""
 
     w: F64
-    found: I64
+    triangles: I64
 
 
 @kernel
@@ -122,7 +122,7 @@ def along_neighbours(
     ``start``, to ``out[t]``: their area, how many pieces are kept now, and the last triangle with a
     piece, −1 for none.
     """
-    w, found, ids = scratch.w, scratch.found, into.ids
+    w, found, ids = scratch.w, scratch.triangles, into.ids
     x0, y0 = pair.corners[t, 0, 0], pair.corners[t, 0, 1]
     covered, last, i, count = 0.0, -1, 0, 1
     found[0] = start
@@ -164,7 +164,7 @@ def from_tree(
     ``entry`` on: where to go on (−1: all done), how many pieces are kept now, and the last triangle
     with a piece, −1 for none.
     """
-    corners, other, w, found, ids = pair.corners, pair.other, scratch.w, scratch.found, into.ids
+    corners, other, w, found, ids = pair.corners, pair.other, scratch.w, scratch.triangles, into.ids
     stack, box, last = np.empty(128, np.int64), np.empty(4), -1
     for c in range(2):
         box[c] = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])

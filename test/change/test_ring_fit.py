@@ -89,13 +89,16 @@ def test_misregistration_is_in_sigma_and_verdict_or_taken_out(seed):
     off = scan(moved(b, rng) + UP * 0.03)
     as_is = checked_excavation(a, off, REGION)
     assert [r.name for r in as_is.verdict.doubts] == ["registration"]
-    assert abs(as_is.found.removed_m3 - TRUTH) < 3.0 * as_is.found.sigma_m3
+    assert abs(as_is.excavation.removed_m3 - TRUTH) < 3.0 * as_is.excavation.sigma_m3
     home = checked_excavation(a, off, REGION, "rigid")
-    assert home.verdict.sound and home.found.sigma_m3 < 0.2 * as_is.found.sigma_m3
-    assert abs(home.found.removed_m3 - TRUTH) < 3.0 * home.found.sigma_m3
-    assert sum(home.found.budget_m6.values()) == pytest.approx(home.found.sigma_m3**2)
+    assert home.verdict.sound and home.excavation.sigma_m3 < 0.2 * as_is.excavation.sigma_m3
+    assert abs(home.excavation.removed_m3 - TRUTH) < 3.0 * home.excavation.sigma_m3
+    assert sum(home.excavation.budget_m6.values()) == pytest.approx(home.excavation.sigma_m3**2)
     good = checked_excavation(a, scan(b), REGION)
-    assert good.verdict.sound and abs(good.found.removed_m3 - TRUTH) < 3.0 * good.found.sigma_m3
+    assert (
+        good.verdict.sound
+        and abs(good.excavation.removed_m3 - TRUTH) < 3.0 * good.excavation.sigma_m3
+    )
 
 
 def test_a_stated_registration_that_holds_stands_alone():
@@ -104,10 +107,12 @@ def test_a_stated_registration_that_holds_stands_alone():
     C = np.zeros((7, 7))
     C[5, 5] = 0.01**2
     T = Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, C)
-    good = checked_excavation(a, scan(b, T), REGION).found.budget_m6
+    good = checked_excavation(a, scan(b, T), REGION).excavation.budget_m6
     assert good["ring"] == 0.0 and good["registration_b"] > 0.0
     bad = checked_excavation(a, scan(b + UP * 0.08, T), REGION)
-    assert bad.found.budget_m6["ring"] > 10.0 * good["registration_b"] and not bad.verdict.sound
+    assert (
+        bad.excavation.budget_m6["ring"] > 10.0 * good["registration_b"] and not bad.verdict.sound
+    )
 
 
 def test_a_ring_on_changed_ground_is_said():

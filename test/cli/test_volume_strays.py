@@ -128,7 +128,7 @@ def test_the_hull_is_not_the_boundary(kind, volume):
 
 def test_a_partial_tin_counts_where_points_are():
     points, area = site("U", np.random.default_rng(4), 1.0)
-    made = cloud_surface(points, SurfaceParameters(ratio=0.3, relevant="sampled")).made
+    made = cloud_surface(points, SurfaceParameters(ratio=0.3, relevant="sampled")).representation
     p = made.tin.vertices[made.tin.triangles[made.tin.relevant], :2]
     d, e = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     assert 0.5 * (d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]).sum() == pytest.approx(area, rel=0.05)

@@ -309,5 +309,5 @@ def test_points_that_share_a_footprint_are_no_choice_of_vertices():
     xy = footprint(900, 12)
     r = noisy(np.r_[xy, xy[:40]], hill, rng)
     full = cloud_surface(r, SurfaceParameters(ratio=1.0))
-    assert full.made.tin.duplicates == 40 and not has_selected_vertices(full)
+    assert full.representation.tin.duplicates == 40 and not has_selected_vertices(full)
     assert has_selected_vertices(cloud_surface(r, SurfaceParameters(ratio=0.4)))

@@ -23,7 +23,7 @@ def points(seed, n=12_000):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_some_squares_stand_for_all(seed, monkeypatch):
     surface = cloud_surface(points(seed), SurfaceParameters(relevant="sampled"))
-    tin = surface.made.tin
+    tin = surface.representation.tin
     area, height = footprint_areas(tin.vertices, tin.triangles), tin.vertices[:, 2]
     whole = between_points.between_points(surface, area, height)
     monkeypatch.setattr(between_points, "ENOUGH", 8_000)

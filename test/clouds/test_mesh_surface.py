@@ -27,7 +27,7 @@ STEP_T = np.array([[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3], [4, 6, 7], [4, 7,
 
 
 def volume(v, t, level, **more):
-    found = cut_fill(mesh_surface(v, t, **more).made.tin, level)
+    found = cut_fill(mesh_surface(v, t, **more).representation.tin, level)
     return found.cut_m3, found.fill_m3, found.area_m2
 
 
@@ -128,7 +128,7 @@ def test_a_mesh_has_no_sigma_of_its_own():
     surface = mesh_surface(PYRAMID_V, PYRAMID_T)
     assert surface.sigma_m is None and "no noise of its own" in surface.sigma_from
     given = mesh_surface(PYRAMID_V, PYRAMID_T, sigma_m=0.01)
-    gradient = cut_fill(given.made.tin, 0.0).gradient_net[:, 2:]
+    gradient = cut_fill(given.representation.tin, 0.0).gradient_net[:, 2:]
     # each corner carries 8/3 m², the top 16/3 m²
     assert given.variance(gradient)[0] == pytest.approx(
         1e-4 * (4 * (8 / 3) ** 2 + (16 / 3) ** 2), rel=1e-12
@@ -156,8 +156,8 @@ def test_thinning_keeps_the_footprint_and_says_what_it_costs():
     t = t[~((v[t][:, :, :2] > 4.9).all(axis=(1, 2)))]  # an L again
     full = volume(v, t, -2.0)
     surface = mesh_surface(v, t, SurfaceParameters(ratio=0.5), thin=True)
-    found = cut_fill(surface.made.tin, -2.0)
+    found = cut_fill(surface.representation.tin, -2.0)
     (doubt,) = surface.doubts
-    assert doubt.name == "mesh_thinned" and len(surface.made.tin.vertices) < 0.6 * len(v)
+    assert doubt.name == "mesh_thinned" and len(surface.representation.tin.vertices) < 0.6 * len(v)
     assert found.area_m2 == pytest.approx(full[2], rel=0.05) and full[2] == pytest.approx(75.0)
     assert found.cut_m3 - full[0] == pytest.approx(0.0, abs=0.06 * full[0])

@@ -110,7 +110,7 @@ def test_every_net_volume_has_the_derivatives_of_brute_force(name):
 
     net, surface = net_of(points)
     gradient = np.zeros(len(points))
-    gradient[surface.made.tin.source] = net.gradient
+    gradient[surface.representation.tin.source] = net.gradient
     rows = np.argsort(-np.abs(gradient))[:40:8]
     if name in ("toe_lowest", "toe_highest"):
         # the bootstrap is no smooth function of one height: the sum over all is that of a level
@@ -137,7 +137,7 @@ def test_cut_has_the_derivatives_of_brute_force(name):
 
     _, (surface, columns) = cut_of(points)
     gradient = np.zeros(len(points))
-    gradient[surface.made.tin.source] = columns[:, 1]
+    gradient[surface.representation.tin.source] = columns[:, 1]
     for row in np.argsort(-np.abs(gradient))[:40:10]:
         step = np.zeros_like(points)
         step[row, 2] = 1e-5
@@ -220,9 +220,9 @@ def test_extremes_of_a_noisy_level_line_are_not_beyond_it():
     for _ in range(30):
         xy = rng.uniform(-6.0, 6.0, (1500, 2))
         surface = surface_of(np.column_stack([xy, rng.normal(0.0, 0.05, len(xy))]), 0.05)
-        line = toe_line(surface.made.tin, octagon(0.0, 0.0, 4.0))
+        line = toe_line(surface.representation.tin, octagon(0.0, 0.0, 4.0))
         ring, variance = octagon(0.0, 0.0, 4.0), surface.vertex_variance
-        base = toe_base("toe_lowest", surface.made.tin, ring, line, variance)
+        base = toe_base("toe_lowest", surface.representation.tin, ring, line, variance)
         raw = float(line.height_m.min())
         levels.append((raw, float(base.plane.beta[0])))
     raw, corrected = np.mean(levels, axis=0)
@@ -291,7 +291,7 @@ def test_found_piles_are_the_bodies_with_their_outlines(quiet):
 
 
 def test_places_without_a_surface_take_the_heights_of_their_neighbours(quiet):
-    tin = quiet.made.tin
+    tin = quiet.representation.tin
     middle = tin.vertices[tin.triangles, :2].mean(axis=1)
     ring = octagon(6.0, 5.0, 6.5)
     hole = np.hypot(*(middle - ring[0]).T) < 0.8
@@ -308,7 +308,13 @@ def test_places_without_a_surface_take_the_heights_of_their_neighbours(quiet):
 @pytest.mark.parametrize("name", TOE_BASES)
 def test_a_concave_outline_has_every_toe_base(quiet, name):
     ring = np.array([[0, 0], [11, -1], [12, 12], [5, 11.8], [5, 10.6], [1, 11]], float) - [0, 0.2]
-    base = toe_base(name, quiet.made.tin, ring, toe_line(quiet.made.tin, ring), np.zeros(6000))
+    base = toe_base(
+        name,
+        quiet.representation.tin,
+        ring,
+        toe_line(quiet.representation.tin, ring),
+        np.zeros(6000),
+    )
     assert isinstance(base, ToeBase)
     if base.tin is not None:
         p = base.tin.vertices[base.tin.triangles[base.tin.relevant]]

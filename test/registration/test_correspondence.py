@@ -62,7 +62,7 @@ def test_random_permutations_of_six_and_one_that_moved(levelled):
         order = rng.permutation(6)
         found = correspond(centres(x), centres(y, order), levelled=levelled)
         assert error_m(found, x, R, t) < 10.0 * SIGMA and found.renumbered
-        assert found.found.used.sum() == 5 and found.found.consistent
+        assert found.registration.used.sum() == 5 and found.registration.consistent
 
 
 def refused(*args, **kwargs):

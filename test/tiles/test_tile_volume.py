@@ -30,8 +30,8 @@ def test_tiles_give_what_one_triangulation_gives(tmp_path, kind, tile_m):
     surface, whole = at_once(path)
     found, volume = by_tiles(path, tmp_path / "store", tile_m)
     same(volume, whole)
-    assert sum(s.triangles for s in found.sums) == len(surface.made.tin.triangles)
-    assert sum(s.vertices for s in found.sums) == len(surface.made.tin.vertices)
+    assert sum(s.triangles for s in found.sums) == len(surface.representation.tin.triangles)
+    assert sum(s.vertices for s in found.sums) == len(surface.representation.tin.vertices)
 
 
 def test_a_plane_and_a_longest_edge(tmp_path):

@@ -86,7 +86,7 @@ def surface_of_mesh(
     if frame is not None or not mesh.breaklines:
         return surface
     return dataclasses.replace(
-        surface, doubts=surface.doubts + breakline_doubts(mesh, surface.made.tin)
+        surface, doubts=surface.doubts + breakline_doubts(mesh, surface.representation.tin)
     )
 
 
@@ -124,7 +124,7 @@ def mesh_facts(mesh: MeshFile) -> dict[str, Any]:
 
 def face_facts(mesh: MeshFile, surface: CloudSurface) -> dict[str, Any]:
     """What the JSON says of a mesh as a surface."""
-    found = surface.given
+    found = surface.given_faces
     if found is None:
         return mesh_facts(mesh)
     return {

@@ -81,11 +81,11 @@ def deliverable(
     wanted: ExportRequest, sources: Sequence[Source], result: ExportableResult, system: OutputSystem
 ) -> Deliverable:
     """The result as what files hold."""
-    surface, tin = result.surfaces[0], result.surfaces[0].made.tin
+    surface, tin = result.surfaces[0], result.surfaces[0].representation.tin
     base = None if result.base is None else base_height(result.base, tin.vertices[:, :2])
     covariance = None
     if surface.sigma_m is not None and set(wanted.formats) & set(OF_SURFACE):
-        covariance = surface.made.covariance(surface.sigma_m)
+        covariance = surface.representation.covariance(surface.sigma_m)
     # of two surfaces no one base makes the volume between them
     alone = len(result.surfaces) == 1
     volumes, outlines = result.facts.get("piles") or [result.facts], result.outlines
@@ -99,7 +99,7 @@ def deliverable(
         tin=tin,
         counted=result.counted,
         base_m=base,
-        other=None if alone else result.surfaces[1].made.tin,
+        other=None if alone else result.surfaces[1].representation.tin,
         sigma_m=None if covariance is None else np.sqrt(covariance.diagonal()),
         covariance=covariance,
         points=points,

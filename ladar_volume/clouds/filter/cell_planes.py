@@ -141,7 +141,7 @@ def main_planes(
     for v in which:
         cell, state = cell_at(v, 0, cells, rule, noise), np.empty(1, np.uint64)
         state[0] = _mix(np.uint64(cells.keys[v]) ^ _mix(np.uint64(rule.seed)))
-        known.found[v] = _planes_of(cell, rule, state, known.planes[v])
+        known.counts[v] = _planes_of(cell, rule, state, known.planes[v])
 
 
 @kernel
@@ -151,7 +151,7 @@ def neighbour_candidates(
     """Planes of the cells around cell v, about ``origin``; returns how many."""
     near, n = np.empty(AROUND, np.int64), 0
     for i in range(voxels_around(cells.keys[v], cells.keys, cells.table, REACH, near)):
-        for a in range(known.found[near[i]]):
+        for a in range(known.counts[near[i]]):
             out[n] = known.planes[near[i], a]
             out[n, 3] -= out[n, 0] * origin[0] + out[n, 1] * origin[1] + out[n, 2] * origin[2]
             n += 1

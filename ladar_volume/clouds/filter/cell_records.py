@@ -53,7 +53,7 @@ class NeighbourPlanes(NamedTuple):
     """
 
     planes: F64
-    found: I64
+    counts: I64
     sets: F64
     sizes: I64
 

@@ -91,7 +91,7 @@ class MeshedReturns:
     returns say · height_m : of each above the ground · verdict : so far · returns : used
     """
 
-    made: CloudBodies
+    bodies: CloudBodies
     points: BodyPoints
     ground: Plane
     budget_m6: tuple[dict[str, float], ...]
@@ -198,7 +198,7 @@ def with_budget(meshed: MeshedReturns, sources: Sources, parameters: Parameters)
     """The bodies with the whole budget: what the returns say, and the survey's calibration and
     navigation.
     """
-    made, verdict, out = meshed.made, meshed.verdict, []
+    made, verdict, out = meshed.bodies, meshed.verdict, []
     for k, body in enumerate(made.bodies):
         rows = made.sources[k]
         moved = shared_gradient(body, rows, meshed.points, meshed.ground, sources)
