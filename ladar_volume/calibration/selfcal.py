@@ -58,8 +58,8 @@ class StripCalibration:
     determined direction, sigma over prior sigma · weakest : (10,) that direction, in units of the
     prior sigmas · noise : measured over budgeted noise of the returns · chi2, freedom : of the
     strips' disagreement, given the budget's navigation errors and priors · before_m, after_m : rms
-    disagreement of strips on one patch, as read and corrected · patches, strips, returns, moved
-    (patches left out), steps : counts
+    disagreement of strips on one patch, as read and corrected · patches, strips, returns,
+    moved_patches (patches left out), steps : counts
     """
 
     names: tuple[str, ...]
@@ -77,7 +77,7 @@ class StripCalibration:
     patches: int
     strips: int
     returns: int
-    moved: int
+    moved_patches: int
     steps: int
 
     @property
@@ -126,7 +126,7 @@ class _Step:
     chi2: float
     freedom: int
     offset_m: tuple[float, float]
-    moved: int
+    moved_patches: int
     membership: I64
 
 
@@ -162,12 +162,12 @@ def calibrate(
         theta[active[corrected]] += move
         size = float(move @ np.linalg.solve(step.solution.C[np.ix_(corrected, corrected)], move))
         if size < _CONVERGED and abs(step.noise - 1.0) < _NOISE_STEADY:
-            step = dataclasses.replace(step, moved=moved + step.moved)
+            step = dataclasses.replace(step, moved_patches=moved + step.moved_patches)
             return _result(problem, step, theta, prior, noise, before_m, number)
         noise *= step.noise
         if membership is None and (size < _NEAR or number == _SEARCHING):
             # from here on the same returns, so that the steps can end
-            membership, moved = step.membership, step.moved
+            membership, moved = step.membership, step.moved_patches
     raise CalibrationError(
         (
             f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by "
@@ -297,7 +297,7 @@ def _result(
         step.patches,
         step.strips,
         step.returns,
-        step.moved,
+        step.moved_patches,
         number,
     )
     if all(found.status(k) in ("held at its prior", "fixed") for k in CORRECTED):

@@ -33,14 +33,14 @@ _CHUNK = 65_536
 class Observations:
     """Rows over sigma, in order of their navigation knots.
 
-    e : (n,) heights · shared : (n, 11), own : (n, 2) to the calibration shared by all beams and to
-    the point's own · ring : (n,) · nav : (n, 6) · knot : (n,) ascending, share : (n,) · Q : (n, 3)
-    · patch, group : (n,) · scale : (n,) 1 / sigma, 1/m
+    e : (n,) heights · shared_jacobian : (n, 11), own_jacobian : (n, 2) to the calibration shared by
+    all beams and to the point's own · ring : (n,) · nav : (n, 6) · knot : (n,) ascending, share :
+    (n,) · Q : (n, 3) · patch, group : (n,) · scale : (n,) 1 / sigma, 1/m
     """
 
     e: F64
-    shared: F64
-    own: F64
+    shared_jacobian: F64
+    own_jacobian: F64
     ring: I64
     nav: F64
     knot: I64
@@ -58,10 +58,10 @@ class Observations:
         for lo, hi in itertools.pairwise(edges.tolist()):
             part = slice(lo, hi)
             full = np.zeros((hi - lo, len(CAL_COLUMNS) + 2 * beams))
-            full[:, : len(CAL_COLUMNS)] = self.shared[part]
+            full[:, : len(CAL_COLUMNS)] = self.shared_jacobian[part]
             rows = np.arange(hi - lo)
-            full[rows, len(CAL_COLUMNS) + self.ring[part]] = self.own[part, 0]
-            full[rows, len(CAL_COLUMNS) + beams + self.ring[part]] = self.own[part, 1]
+            full[rows, len(CAL_COLUMNS) + self.ring[part]] = self.own_jacobian[part, 0]
+            full[rows, len(CAL_COLUMNS) + beams + self.ring[part]] = self.own_jacobian[part, 1]
             f = self.share[part, None]
             design = np.hstack([full[:, columns], self.nav[part] * (1.0 - f), self.nav[part] * f])
             first = len(columns) + 6 * int(self.knot[lo])

@@ -80,12 +80,12 @@ class TwoSurfaces:
 @dataclass(frozen=True)
 class RingedSurface:
     """A surface with the ring in it: tin of ring points and points · inside : (m,) triangles within
-    the ring · missing : (j,) ring edges that are no edges of the triangulation
+    the ring · missing_edges : (j,) ring edges that are no edges of the triangulation
     """
 
     tin: Tin
     inside: Bool
-    missing: I64
+    missing_edges: I64
 
 
 class RingCut(NamedTuple):
@@ -324,7 +324,7 @@ def cut_both(
             cut_surface(a, drop_a, hits_a, s_a, *limits),
             cut_surface(b, drop_b, hits_b, s_b, *limits),
         )
-        missing = np.union1d(cut_a.missing, cut_b.missing)
+        missing = np.union1d(cut_a.missing_edges, cut_b.missing_edges)
         if len(missing) == 0:
             return RingCut(ring, (hits_a, hits_b), (cut_a, cut_b))
         middles = ring.middles(missing)

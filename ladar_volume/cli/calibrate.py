@@ -49,17 +49,17 @@ class Statistics:
     """
 
     spread: Spread
-    grouped: Components | None
+    components: Components | None
 
     def budget_sigma(self, uses: str) -> float:
         """The standard deviation for the budget of a survey that uses the constant so."""
-        return budget_sigma(self.grouped or self.spread, uses)
+        return budget_sigma(self.components or self.spread, uses)
 
     def mean(self, uses: str) -> float:
         """The value that such a survey uses."""
-        if self.grouped is None:
+        if self.components is None:
             return self.spread.mean
-        return self.grouped.last_mean if uses == "mean" else self.grouped.mean
+        return self.components.last_mean if uses == "mean" else self.components.mean
 
 
 def run_repeats(arguments: argparse.Namespace) -> int:
@@ -114,7 +114,7 @@ def _mean_angles(table: Measurements, mean: F64) -> dict[str, float] | None:
 def _facts(found: Statistics, uses: str) -> dict[str, Any]:
     """What the JSON says of one constant."""
     return dataclasses.asdict(found.spread) | {
-        "by_mounting": None if found.grouped is None else dataclasses.asdict(found.grouped),
+        "by_mounting": None if found.components is None else dataclasses.asdict(found.components),
         "budget_sigma": found.budget_sigma(uses),
     }
 
@@ -208,7 +208,7 @@ def _show(
     if angles is not None:
         words = ", ".join(f"{name} {value:.4f}" for name, value in angles.items())
         console.print(f"mean angles: {words}; boresight_x to _z are turns about that mean")
-    grouped = {name: each.grouped for name, each in found.items() if each.grouped is not None}
+    grouped = {name: each.components for name, each in found.items() if each.components is not None}
     if not grouped:
         console.print(
             "no column 'mounting': re-mountings, if there were any, are part of the "

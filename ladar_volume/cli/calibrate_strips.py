@@ -222,7 +222,7 @@ def show(console: Console, found: StripCalibration) -> None:
     console.print(constant_table(found))
     console.print(
         f"{found.returns:,} returns of {found.strips} strips on {found.patches} patches "
-        f"({found.moved} left out: something moved), "
+        f"({found.moved_patches} left out: something moved), "
         f"{found.steps} steps; strips {1e3 * found.before_m:.1f} mm off their planes "
         f"before, {1e3 * found.after_m:.1f} mm after"
     )

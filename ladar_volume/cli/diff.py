@@ -227,7 +227,7 @@ def scan_facts(scan: NoisyScan, in_region: Bool) -> dict[str, Any]:
         "in_region": int(in_region.sum()),
         "sigma_m": scan.noise.typical_m,
         "sigma_from": scan.noise.words,
-        "isolated": scan.file.isolated,
+        "isolated": scan.file.isolated_count,
     }
 
 

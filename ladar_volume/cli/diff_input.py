@@ -46,8 +46,8 @@ ISOLATED_SHARE = 0.02
 class ScanFile:
     """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
     mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied ·
-    isolated : returns left out since they stand alone · verdict : on the file and the transform ·
-    cloud : as its file holds it, None for a mesh
+    isolated_count : returns left out since they stand alone · verdict : on the file and the
+    transform · cloud : as its file holds it, None for a mesh
     """
 
     path: Path
@@ -56,7 +56,7 @@ class ScanFile:
     closed: bool
     sigma: F64 | None
     transform: Transform | None
-    isolated: int = 0
+    isolated_count: int = 0
     verdict: Verdict = field(default_factory=Verdict)
     cloud: PointFile | None = None
 
@@ -172,14 +172,14 @@ def without_isolated(file: ScanFile, scan: Scan) -> ScanFile:
     if stays.all() or len(file.triangles):
         return file
     sigma = None if file.sigma is None else file.sigma[stays]
-    return replace(file, points=file.points[stays], sigma=sigma, isolated=int((~stays).sum()))
+    return replace(file, points=file.points[stays], sigma=sigma, isolated_count=int((~stays).sum()))
 
 
 def isolated_doubts(files: Sequence[ScanFile]) -> list[Doubt]:
     """The doubts of scans with many returns that stood alone."""
     out = []
     for name, file in zip("AB", files, strict=True):
-        share = file.isolated / max(file.isolated + len(file.points), 1)
+        share = file.isolated_count / max(file.isolated_count + len(file.points), 1)
         if share > ISOLATED_SHARE:
             out.append(
                 Doubt(

@@ -212,8 +212,8 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "mesh": faces,
         "points": len(source.cloud.r),
         **cloud_facts_of(source.cloud),
-        "used": len(surface.points) - made.cropped,
-        "cropped": made.cropped,
+        "used": len(surface.points) - made.off_map_count,
+        "cropped": made.off_map_count,
         "clean": {"strays": len(surface.strays), "share": stray_share(source, surface)},
         "copies": surface.copies,
         "outliers": len(surface.outliers),
@@ -229,7 +229,7 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "exchanges": made.exchanges,
         "rms_m": made.rms_m,
         "asd_m": made.asd_m,
-        "fitted_points": made.fitted,
+        "fitted_points": made.fit_count,
         "rms_before_m": made.rms_before_m,
         "asd_before_m": made.asd_before_m,
         "sigma_from": surface.sigma_from,
@@ -246,7 +246,7 @@ def stray_share(source: Source, surface: CloudSurface) -> float:
 
 def sampled_facts(made: RepresentedSurface) -> dict[str, Any] | None:
     """The area that was sampled, against the convex hull; None where it was not asked for."""
-    found = made.sampled
+    found = made.sampled_area
     if found is None:
         return None
     return {
@@ -287,7 +287,9 @@ def fixed_quantities(made: RepresentedSurface) -> list[str]:
     """What the standard deviations of a surface take for given, though the noise of the points has
     a part in it.
     """
-    partial = ["choice of vertices"] if made.initial or len(made.tin.vertices) < made.fitted else []
+    partial = (
+        ["choice of vertices"] if made.initial or len(made.tin.vertices) < made.fit_count else []
+    )
     return ["triangulation", *partial, *(["exchanged diagonals"] if made.exchanges else [])]
 
 

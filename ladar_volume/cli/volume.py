@@ -96,7 +96,7 @@ class VolumeTask:
     arguments : the command line · parameters : of base, outline and ground · base : as
     :func:`parameters_of` names it · options : of the surfaces · levels : (l,), m, or None · frame :
     in which the surfaces are, or None for the map's own · correct : whether cut and fill are
-    corrected near the base · shared : errors that heights share · flight : parameters of the
+    corrected near the base · shared_errors : errors that heights share · flight : parameters of the
     trajectory, None without one · outlines : of piles, None to find them · progress : takes what is
     being done, in words
     """
@@ -108,7 +108,7 @@ class VolumeTask:
     levels: F64 | None
     frame: Frame | None
     correct: bool
-    shared: tuple[HeightError, ...] = ()
+    shared_errors: tuple[HeightError, ...] = ()
     flight: Parameters | None = None
     outlines: Outlines | None = None
     progress: Callable[[str], None] = lambda words: None
@@ -235,8 +235,8 @@ def result_of(
         doubts += task.outlines.doubts
     facts["verdict"] = (Verdict(doubts) + facts.pop("verdict")).as_dict()
     facts |= {
-        "sigma_holds": sigma_words(task.shared, task.flight is not None),
-        "shared_errors": error_facts(task.shared),
+        "sigma_holds": sigma_words(task.shared_errors, task.flight is not None),
+        "shared_errors": error_facts(task.shared_errors),
         "trajectory": flown.facts,
     }
     facts |= {
@@ -289,7 +289,7 @@ def make_surfaces(
     for source, sigma in zip(sources, sigmas, strict=False):
         progress(f"triangulating {len(source.cloud.r):,} points of {source.path.name}")
         made = make_surface(a, source, task.options, task.frame, sigma)
-        surfaces.append(dataclasses.replace(made, shared=task.shared))
+        surfaces.append(dataclasses.replace(made, shared_errors=task.shared_errors))
     return surfaces
 
 

@@ -233,7 +233,7 @@ def unseen(surface: CloudSurface, inside: F64, height: F64) -> float:
 
 def bridges(surface: CloudSurface) -> Bool:
     """The triangles (m,) that bridge what was not sampled."""
-    found, count = surface.representation.sampled, len(surface.representation.tin.triangles)
+    found, count = surface.representation.sampled_area, len(surface.representation.tin.triangles)
     if found is None or len(found.bridged) != count:
         return np.zeros(count, bool)
     return found.bridged

@@ -43,14 +43,14 @@ COARSER = float(np.sqrt(2.0))
 class FilterComparison:
     """fit_m3 : added to the volume, since the filter's surfaces are off their points · fit_m6 :
     variance of what is left of it · between_m3 : (k,) volumes through half of the points less
-    that through all · tried : how many halves · failed : why one makes no body, or nothing
+    that through all · half_count : how many halves · failure : why one makes no body, or nothing
     """
 
     fit_m3: float
     fit_m6: float
     between_m3: tuple[float, ...]
-    tried: int = 0
-    failed: str = ""
+    half_count: int = 0
+    failure: str = ""
 
 
 def at_edges(r: F64, normal: F64, reach_m: float) -> Bool:
@@ -165,11 +165,11 @@ def check_doubts(checked: Sequence[FilterComparison]) -> tuple[Doubt, ...]:
     return tuple(
         Doubt(
             "body_half",
-            f"half of the points of body {k} do not always make a body ({c.failed}): "
-            f"{c.tried - len(c.between_m3)} of {c.tried} do not, and sigma may not hold what lies "
-            "between the points; scan it more densely",
-            float(c.tried - len(c.between_m3)),
+            f"half of the points of body {k} do not always make a body ({c.failure}): "
+            f"{c.half_count - len(c.between_m3)} of {c.half_count} do not, and sigma may not hold "
+            "what lies between the points; scan it more densely",
+            float(c.half_count - len(c.between_m3)),
         )
         for k, c in enumerate(checked, 1)
-        if c.failed
+        if c.failure
     )

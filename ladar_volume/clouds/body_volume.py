@@ -150,13 +150,13 @@ def body_of(
 
 class ClosedSkins(NamedTuple):
     """blunt : the closed skin without, skin : with the edges completed · closures : of the latter ·
-    added : vertices on the edges
+    added_vertices : vertices on the edges
     """
 
     blunt: LinearMesh
     skin: LinearMesh
     closures: list[Closure]
-    added: int
+    added_vertices: int
 
 
 def _close_skin(

@@ -43,13 +43,13 @@ STEPS, LEAST = 10, 6
 
 @dataclass(frozen=True)
 class CleaningResult:
-    """kept, strays : (k,), (s,) rows of the cloud · isolated : how many of the strays are so ·
-    noise : of the cloud with its strays, None where it was not told
+    """kept, strays : (k,), (s,) rows of the cloud · isolated_count : how many of the strays are so
+    · noise : of the cloud with its strays, None where it was not told
     """
 
     kept: I64
     strays: I64
-    isolated: int
+    isolated_count: int
     noise: CloudNoise | None = None
 
 

@@ -38,7 +38,7 @@ class CloudSurface:
     deleted or the median filter changed · representation : the surface, its ``source`` numbering
     ``points`` · strays : (s,) rows of the cloud that are none of its surface, left out · copies :
     points left out because another has the same coordinates · given_faces : the faces of a mesh
-    that it is, None for a cloud · doubts : what makes it doubtful · shared : errors that
+    that it is, None for a cloud · doubts : what makes it doubtful · shared_errors : errors that
     neighbouring heights share · flight : calibration and navigation of the points, where their
     trajectory is known
     """
@@ -53,7 +53,7 @@ class CloudSurface:
     copies: int = 0
     given_faces: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
-    shared: tuple[HeightError, ...] = ()
+    shared_errors: tuple[HeightError, ...] = ()
     flight: FlightErrors | None = None
 
     @property
@@ -81,7 +81,7 @@ class CloudSurface:
     def shared_lines(self, gradient_z: F64) -> dict[str, F64]:
         """Variances (k,), by shared error, of k results with gradients (n, k) by the heights."""
         xy = self.representation.tin.vertices[:, :2]
-        out = {e.name: shared_variances(xy, gradient_z, e) for e in self.shared}
+        out = {e.name: shared_variances(xy, gradient_z, e) for e in self.shared_errors}
         if self.flight is None:
             return out
         raw = self.representation.by_heights(gradient_z, len(self.points))

@@ -130,7 +130,7 @@ def has_selected_vertices(surface: CloudSurface) -> bool:
     are not.
     """
     made = surface.representation
-    footprints = len(surface.points) - made.cropped - made.tin.duplicates
+    footprints = len(surface.points) - made.off_map_count - made.tin.duplicates
     return int(np.count_nonzero(made.tin.source >= 0)) < footprints
 
 

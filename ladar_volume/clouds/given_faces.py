@@ -32,15 +32,16 @@ NOTHING = 1e-9
 @dataclass(frozen=True)
 class GivenSurface:
     """tin : the faces, all relevant, ``source`` numbering the vertices in use · index : (n,) rows
-    of these in the file · vertical : faces without footprint · turned : faces given clockwise from
-    above · unused : vertices in no face · parts : that no edge joins · overlap : of the faces
+    of these in the file · vertical : faces without footprint · clockwise_faces : faces given
+    clockwise from above · unused_vertices : vertices in no face · parts : that no edge joins ·
+    overlap : of the faces
     """
 
     tin: Tin
     index: I64
     vertical: int
-    turned: int
-    unused: int
+    clockwise_faces: int
+    unused_vertices: int
     parts: int
     overlap: Overlap
 

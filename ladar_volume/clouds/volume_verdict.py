@@ -108,7 +108,7 @@ def shrunk_doubts(
     (n,) m of the vertices above the base.
     """
     made = surface.representation
-    if made.sampled is None or not has_selected_vertices(surface):
+    if made.sampled_area is None or not has_selected_vertices(surface):
         return []
     tin = made.tin
     area = float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
@@ -118,7 +118,7 @@ def shrunk_doubts(
     if not len(length):
         return []
     rise = np.abs(height[ends]).mean(axis=1)
-    lost_m2 = (made.sampled.area_m2 - area) * float(length.sum() / everywhere.sum())
+    lost_m2 = (made.sampled_area.area_m2 - area) * float(length.sum() / everywhere.sum())
     lost_m3 = lost_m2 * float(length @ rise / length.sum())
     if not lost_m3 > SIGMAS * volume.sigma_m3:
         return []

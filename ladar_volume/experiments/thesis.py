@@ -75,7 +75,7 @@ class Body:
     own
     """
 
-    filtered: int
+    filtered_points: int
     seconds: float
     modes: dict[str, Mode]
     own: OwnBody
@@ -265,7 +265,7 @@ def summary(study: Study) -> dict[str, Any]:
             "triangles": {
                 way: float(np.mean([b.modes[way].triangles for b in bodies])) for way in REPAIRS
             },
-            "filtered": float(np.mean([b.filtered for b in bodies])),
+            "filtered": float(np.mean([b.filtered_points for b in bodies])),
             "watertight": all(b.own.watertight for b in bodies),
             "euler": [b.own.euler for b in bodies],
             **{

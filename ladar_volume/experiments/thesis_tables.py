@@ -111,7 +111,7 @@ def body_rows(name: str, bodies: list[Body]) -> list[list[str]]:
     filtering = min(b.seconds for b in bodies)
     meshing = min(b.modes["both"].seconds for b in bodies)
     every = min(b.own.seconds for b in bodies)
-    published = (first.filtered, first.modes["both"].triangles, filtering, meshing)
+    published = (first.filtered_points, first.modes["both"].triangles, filtering, meshing)
     own_way = [f"{name}, own way (all steps)", "", f"{own.points:,}", "", f"{own.triangles:,}"]
     return [
         cloud_row(name, f"{name}, published", published),

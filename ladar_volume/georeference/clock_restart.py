@@ -23,7 +23,7 @@ CONFIRM, HOLD_NS = 2, 2_000_000_000
 class _Topic:
     newest: int | None = None
     ahead: int | None = None  # a step ahead that awaits its confirmation
-    held: list[tuple[int, int, Any]] = field(
+    waiting: list[tuple[int, int, Any]] = field(
         default_factory=list
     )  # time, number of arrival, sample
     old: bool = False  # others began again, this one has not been seen to
@@ -43,8 +43,8 @@ class _Topic:
     def confirmed_step_ns(self) -> int | None:
         """How far a confirmed step went back."""
         return (
-            self.newest - self.held[0][0]
-            if self.newest is not None and len(self.held) >= CONFIRM
+            self.newest - self.waiting[0][0]
+            if self.newest is not None and len(self.waiting) >= CONFIRM
             else None
         )
 
@@ -82,13 +82,15 @@ class Restart:
             topic.old, topic.newest = False, t_ns
             return False, [(kind, sample)], []
         if topic.newest is None or t_ns > topic.newest - BACK_NS:
-            strays, topic.held = topic.held, []
+            strays, topic.waiting = topic.waiting, []
             topic.advance(t_ns)
             return False, [*((kind, s) for _, _, s in strays), (kind, sample)], []
         strays = []
-        if topic.held and not (0 < t_ns - topic.held[-1][0] and t_ns - topic.held[0][0] <= HOLD_NS):
-            strays, topic.held = topic.held, []
-        topic.held.append((t_ns, self._arrived, sample))
+        if topic.waiting and not (
+            0 < t_ns - topic.waiting[-1][0] and t_ns - topic.waiting[0][0] <= HOLD_NS
+        ):
+            strays, topic.waiting = topic.waiting, []
+        topic.waiting.append((t_ns, self._arrived, sample))
         if not strays and self._topics_agree():
             return True, self._begin(), []
         return False, [(kind, s) for _, _, s in strays], []
@@ -104,12 +106,12 @@ class Restart:
         held = [
             (number, kind, sample)
             for kind, topic in self._topics.items()
-            for _, number, sample in topic.held
+            for _, number, sample in topic.waiting
         ]
         for topic in self._topics.values():
-            topic.old = not topic.held
-            topic.newest = topic.held[-1][0] if topic.held else None
-            topic.held, topic.ahead = [], None
+            topic.old = not topic.waiting
+            topic.newest = topic.waiting[-1][0] if topic.waiting else None
+            topic.waiting, topic.ahead = [], None
         return [(kind, sample) for _, kind, sample in sorted(held, key=lambda h: h[0])]
 
     def finish(self) -> list[tuple[str, Any]]:
@@ -117,8 +119,8 @@ class Restart:
         rest = [
             (number, kind, sample)
             for kind, topic in self._topics.items()
-            for _, number, sample in topic.held
+            for _, number, sample in topic.waiting
         ]
         for topic in self._topics.values():
-            topic.held = []
+            topic.waiting = []
         return [(kind, sample) for _, kind, sample in sorted(rest, key=lambda h: h[0])]

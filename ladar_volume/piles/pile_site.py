@@ -35,14 +35,14 @@ class SiteTask:
     """What is asked for at all piles.
 
     parameters : of the base, where it is a level or a plane, and of the ground · base : one of
-    :data:`PILE_BASES`, "level", "plane" or "second" · chosen : whether the user named it · words :
-    the base as printed · second : the surface that is the base "second" · correct : whether cut and
-    fill are corrected near the base
+    :data:`PILE_BASES`, "level", "plane" or "second" · is_named : whether the user named it · words
+    : the base as printed · second : the surface that is the base "second" · correct : whether cut
+    and fill are corrected near the base
     """
 
     parameters: Parameters
     base: str
-    chosen: bool = True
+    is_named: bool = True
     words: str = ""
     second: CloudSurface | None = None
     correct: bool = True

@@ -89,12 +89,12 @@ class RefusedPile:
 
 @dataclass(frozen=True)
 class SitePiles:
-    """piles : with a volume, in the order given · refused : without · total : of all piles, what
-    they share counted as shared · verdict : of the outlines together
+    """piles : with a volume, in the order given · refused_piles : without · total : of all piles,
+    what they share counted as shared · verdict : of the outlines together
     """
 
     piles: list[PileVolume]
-    refused: list[RefusedPile]
+    refused_piles: list[RefusedPile]
     total: CloudVolume
     verdict: Verdict
 
@@ -133,7 +133,7 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     volume, verdict = pile_with_verdict(site, part, task, parameters, asked, reference, ground)
     nets = {n: net_above(part, base, rough) for n, base in made.items() if n != task.base}
     bases = all_above(part, nets, volume)
-    if not task.chosen:
+    if not task.is_named:
         volume = with_choice(volume, bases)
     verdict = verdict + Verdict(tuple(outline_doubts(part)))
     high, top = summit(part, reference)

@@ -223,12 +223,12 @@ def viewing_inliers(g: F64, r: F64, other: F64, axis: F64, shift: F64, h: F64) -
 
 
 class Runs(NamedTuple):
-    """Runs of navigation time bins. run : (n,) of each inlier · drawn : (runs,) the inlier that
-    stands for each · all_bins : each run is one bin
+    """Runs of navigation time bins. run : (n,) of each inlier · representatives : (runs,) the
+    inlier that stands for each · all_bins : each run is one bin
     """
 
     run: I64
-    drawn: I64
+    representatives: I64
     all_bins: bool
 
 
@@ -261,9 +261,9 @@ def _sum_returns(
     """
     cal, nav = sums
     x, h, axes = np.zeros(6), np.empty(ALL), np.empty((3, 3))
-    own, others = np.empty(NUMBERS), np.empty((len(runs.drawn), NUMBERS))
-    for k in range(len(runs.drawn)):
-        viewing_geometry(store.aux[mine[runs.drawn[k]]], others[k])
+    own, others = np.empty(NUMBERS), np.empty((len(runs.representatives), NUMBERS))
+    for k in range(len(runs.representatives)):
+        viewing_geometry(store.aux[mine[runs.representatives[k]]], others[k])
     axes[0], axes[1] = fits.normal[a], fits.tangent[a]
     second_tangent(fits.normal[a], fits.tangent[a], axes[2])
     for i in range(len(mine)):
@@ -275,7 +275,7 @@ def _sum_returns(
         for k in range(3):
             along_axis(own, looked, axes[k], mount.shift, mount.axis_body, h)
             if not runs.all_bins:
-                other = store.r[mine[runs.drawn[run]]]
+                other = store.r[mine[runs.representatives[run]]]
                 viewing_inliers(others[run], store.r[slot], other, axes[k], mount.shift, h)
             if k == 0:
                 for l in range(p):
@@ -299,7 +299,7 @@ def _sensitivities_of(
     mine = fits.members[fits.start[a] : fits.start[a] + fits.used[a]]
     runs = _runs_of(mine, number, store.keys[a], store.t_ns, mount.bin_ns)
     for g in range(number):
-        time = store.t_ns[mine[runs.drawn[g]]]
+        time = store.t_ns[mine[runs.representatives[g]]]
         out.nav_bin[first + g] = np.int64(np.floor_divide(time, mount.bin_ns))
     cal, nav = np.zeros((p + 2, 11 + 2 * mount.beams)), np.zeros((number, p + 2, 4))
     _sum_returns(a, mine, store, fits, p, mount, runs, (cal, nav))

@@ -128,7 +128,9 @@ def machine_leaves(d: SceneDraft) -> None:
     d.names = ("object", "wall", "budget")
     _, x, y = d.on_foot(d.rng.uniform(0.95, 1.1))
     d.leaving.append(box_on(d, x, y, (3.0, 2.0, d.rng.uniform(2.0, 3.0))))
-    d.flown = dataclasses.replace(d.flown, later_s=d.rng.uniform(0.35, 0.65) * DURATION_S)
+    d.flight_trouble = dataclasses.replace(
+        d.flight_trouble, later_s=d.rng.uniform(0.35, 0.65) * DURATION_S
+    )
 
 
 def fence(d: SceneDraft) -> None:
@@ -201,7 +203,9 @@ def varied_ground(d: SceneDraft) -> None:
     """
     rough, long = 0.01 * 10.0 ** d.rng.uniform(0.0, 1.0), 0.5 * 20.0 ** d.rng.uniform(0.0, 1.0)
     d.ground = Ground(0.0, (0.0, 0.0), rough, long / 3.0, int(d.rng.integers(1 << 30)))
-    d.flown = dataclasses.replace(d.flown, thin=round(10.0 * 3.0 ** d.rng.uniform(-1.0, 1.0)))
+    d.flight_trouble = dataclasses.replace(
+        d.flight_trouble, thin=round(10.0 * 3.0 ** d.rng.uniform(-1.0, 1.0))
+    )
 
 
 def puddles(d: SceneDraft) -> None:
@@ -262,8 +266,10 @@ def one_pass(long: float, aside: float, high: float) -> Platform:
 def large_footprints(d: SceneDraft) -> None:
     """Footprints of 10 to 18 cm where the budget says 4 cm, and a third of the returns."""
     d.names = ("budget", "unseen", "vegetation")
-    d.drawn = dataclasses.replace(d.drawn, beam_divergence_rad=d.rng.uniform(0.004, 0.007))
-    d.flown = dataclasses.replace(d.flown, thin=30)
+    d.true_budget = dataclasses.replace(
+        d.true_budget, beam_divergence_rad=d.rng.uniform(0.004, 0.007)
+    )
+    d.flight_trouble = dataclasses.replace(d.flight_trouble, thin=30)
 
 
 def gnss_jump(d: SceneDraft) -> None:
@@ -271,8 +277,8 @@ def gnss_jump(d: SceneDraft) -> None:
     d.names = ("budget", "passes_shifted")
     e, n, u = d.rng.normal(0.0, 1.0, 3)
     size = d.rng.uniform(0.08, 0.25) / math.sqrt(e * e + n * n + u * u)
-    d.flown = dataclasses.replace(
-        d.flown,
+    d.flight_trouble = dataclasses.replace(
+        d.flight_trouble,
         jump_s=d.rng.uniform(0.25, 0.75) * DURATION_S,
         jump_m=(e * size, n * size, u * size),
     )
@@ -281,7 +287,7 @@ def gnss_jump(d: SceneDraft) -> None:
 def wrong_clock(d: SceneDraft) -> None:
     """The clocks are 20 to 60 ms apart."""
     d.names = ("budget",)
-    d.drawn = dataclasses.replace(d.drawn, clock_sigma_s=d.rng.uniform(0.02, 0.06))
+    d.true_budget = dataclasses.replace(d.true_budget, clock_sigma_s=d.rng.uniform(0.02, 0.06))
 
 
 def lever_above_level(d: SceneDraft) -> None:
@@ -290,19 +296,21 @@ def lever_above_level(d: SceneDraft) -> None:
     d.ground = Ground(0.0, (0.0, 0.0), 0.01, 1.0, int(d.rng.integers(1 << 30)))
     d.volume = {"base": "level", "level_m": 0.0}
     off = float(d.rng.choice([-1.0, 1.0])) * d.rng.uniform(0.10, 0.25)
-    d.flown = dataclasses.replace(d.flown, jump_s=-10.0, jump_m=(0.0, 0.0, off))
+    d.flight_trouble = dataclasses.replace(d.flight_trouble, jump_s=-10.0, jump_m=(0.0, 0.0, off))
 
 
 def float_spans(d: SceneDraft) -> None:
     """The receiver has a float fix for a third of the flight, and says so."""
     first = d.rng.uniform(0.1, 0.6) * DURATION_S
-    d.flown = dataclasses.replace(d.flown, floats_s=((first, first + DURATION_S / 3.0),))
+    d.flight_trouble = dataclasses.replace(
+        d.flight_trouble, floats_s=((first, first + DURATION_S / 3.0),)
+    )
 
 
 def rain(d: SceneDraft) -> None:
     """Half to four fifths of the returns are lost."""
     d.names = ("unseen",)
-    d.flown = dataclasses.replace(d.flown, dropout_share=d.rng.uniform(0.5, 0.8))
+    d.flight_trouble = dataclasses.replace(d.flight_trouble, dropout_share=d.rng.uniform(0.5, 0.8))
 
 
 FURTHER: tuple[Callable[[SceneDraft], Any], ...] = (

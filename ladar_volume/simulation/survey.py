@@ -69,7 +69,8 @@ class RayCaster:
 class Survey:
     """Draws its errors on construction; then yields fixes, attitudes and sweeps.
 
-    published : the budget whose sigmas receiver and IMU state; None for the one that is drawn from
+    stated_budget : the budget whose sigmas receiver and IMU state; None for the one that is drawn
+    from
     """
 
     scene: Scene
@@ -77,7 +78,7 @@ class Survey:
     budget: BudgetParameters
     options: SurveyParameters
     truth: dict[str, Any] = field(default_factory=dict)
-    published: BudgetParameters | None = None
+    stated_budget: BudgetParameters | None = None
 
     def __post_init__(self) -> None:
         o, b = self.options, self.budget
@@ -136,7 +137,7 @@ class Survey:
         for first, last in o.outages_s:
             status[(t >= first) & (t < last)] = -1
         antenna = self.platform.position(t) + self.platform.rotation(t).apply(self._lever_antenna)
-        stated = np.array((self.published or b).position_sigma_m)
+        stated = np.array((self.stated_budget or b).position_sigma_m)
         return _ns(t), antenna + error * scale[:, None], stated * scale[:, None], status
 
     def _draw_attitudes(self, rng: np.random.Generator) -> Attitudes:
@@ -162,7 +163,7 @@ class Survey:
         axes[:, :, 0] = np.column_stack([cp * cy, cp * sy, -sp])
         axes[:, :, 1] = np.column_stack([-sy, cy, np.zeros(len(t))])
         axes[:, 2, 2] = 1.0
-        stated = np.array((self.published or b).attitude_sigma_rad)
+        stated = np.array((self.stated_budget or b).attitude_sigma_rad)
         covariance = axes @ np.diag(stated**2) @ axes.transpose(0, 2, 1)
         rates = self.platform.rates(t) + rng.normal(0, 1e-3, (len(t), 3))
         return _ns(t), q, rates, covariance

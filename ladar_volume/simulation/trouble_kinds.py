@@ -58,37 +58,48 @@ def make_trouble(kind: str, seed: int) -> Trouble:
 class TroubledSurvey(Survey):
     """A survey on whose flight something happens."""
 
-    flown: FlightTrouble = field(default_factory=FlightTrouble)
+    flight_trouble: FlightTrouble = field(default_factory=FlightTrouble)
 
     @classmethod
     def of(cls, trouble: Trouble, seed: int) -> TroubledSurvey:
         """The survey of a trouble; receiver and IMU state the default budget."""
-        flown = trouble.flown
+        flight = trouble.flight_trouble
         options = SurveyParameters(
             DURATION_S,
-            flown.thin,
-            dropout_share=flown.dropout_share,
+            flight.thin,
+            dropout_share=flight.dropout_share,
             mixed_share=MIXED,
-            float_spans_s=flown.floats_s,
+            float_spans_s=flight.floats_s,
             seed=seed,
         )
         believed = BudgetParameters()
         return cls(
-            trouble.scene, trouble.platform, trouble.drawn, options, {}, believed, flown=flown
+            trouble.scene,
+            trouble.platform,
+            trouble.true_budget,
+            options,
+            {},
+            believed,
+            flight_trouble=flight,
         )
 
     def fixes(self) -> Fixes:
         """As drawn, off by a jump from its time on."""
         t, antenna, sigma, status = super().fixes()
-        late = t >= EPOCH_NS + np.float64(self.flown.jump_s) * 1e9
-        return t, antenna + np.where(late[:, None], self.flown.jump_m, 0.0), sigma, status
+        late = t >= EPOCH_NS + np.float64(self.flight_trouble.jump_s) * 1e9
+        return t, antenna + np.where(late[:, None], self.flight_trouble.jump_m, 0.0), sigma, status
 
     def sweeps(self) -> Iterator[Sweep]:
         """Clouds of one turn each; from a time on, of the later scene."""
-        changes = EPOCH_NS + self.flown.later_s * 1e9
+        changes = EPOCH_NS + self.flight_trouble.later_s * 1e9
         yield from (s for s in super().sweeps() if s.stamp_ns < changes)
-        if self.flown.later is not None:
+        if self.flight_trouble.later is not None:
             after = Survey(
-                self.flown.later, self.platform, self.budget, self.options, {}, self.published
+                self.flight_trouble.later,
+                self.platform,
+                self.budget,
+                self.options,
+                {},
+                self.stated_budget,
             )
             yield from (s for s in after.sweeps() if s.stamp_ns >= changes)

@@ -51,9 +51,9 @@ class FlightTrouble:
 @dataclass(frozen=True)
 class Trouble:
     """A survey with one trouble. settings : sections and keys that a surveyor would choose ·
-    drawn :
+    true_budget :
     the budget that errors are drawn from, the believed one being the default · names : the doubts
-    that name the cause · flown : what happened on the flight
+    that name the cause · flight_trouble : what happened on the flight
     """
 
     kind: str
@@ -61,8 +61,8 @@ class Trouble:
     platform: Platform
     settings: Settings
     names: tuple[str, ...]
-    drawn: BudgetParameters = field(default_factory=BudgetParameters)
-    flown: FlightTrouble = field(default_factory=lambda: FlightTrouble())
+    true_budget: BudgetParameters = field(default_factory=BudgetParameters)
+    flight_trouble: FlightTrouble = field(default_factory=lambda: FlightTrouble())
 
 
 @dataclass(frozen=True)
@@ -137,12 +137,12 @@ class SceneDraft:
         self.volume_m3 = self.pile.volume_m3
         half = max(self.pile.a, self.pile.b) + AROUND_M
         self.region = [-half, -half, -10.0, half, half, 30.0]
-        self.drawn = BudgetParameters()
+        self.true_budget = BudgetParameters()
         self.volume: dict[str, Any] = {}
         self.holes: list[tuple[float, ...]] = []
         self.bodies: list[Any] = []
         self.names: tuple[str, ...] = ()
-        self.flown = FlightTrouble()
+        self.flight_trouble = FlightTrouble()
         self.flight: Platform | None = None
         self.leaving: list[Any] = []
 
@@ -161,14 +161,16 @@ class SceneDraft:
         scene = self._scene(join(mesh, *self.bodies, *self.leaving), extent)
         if self.leaving:
             later = self._scene(join(mesh, *self.bodies), extent)
-            self.flown = dataclasses.replace(self.flown, later=later)
+            self.flight_trouble = dataclasses.replace(self.flight_trouble, later=later)
         flight = self.flight or lanes(0.5 * extent, 25.0, DURATION_S)
         settings: Settings = {
             "filter": dict(SUITED["pile"]["filter"]),
             "volume": {**SUITED["pile"]["volume"], **self.volume},
             "georeference": {"region_m": [float(round(v, 3)) for v in self.region]},
         }
-        return Trouble(self.kind, scene, flight, settings, self.names, self.drawn, self.flown)
+        return Trouble(
+            self.kind, scene, flight, settings, self.names, self.true_budget, self.flight_trouble
+        )
 
     def _scene(self, mesh: tuple[F64, npt.NDArray[np.int32]], extent: float) -> Scene:
         return Scene(self.kind, *mesh, self.volume_m3, np.zeros((0, 2)), extent + BEYOND_M)
@@ -328,28 +330,28 @@ def grass(d: SceneDraft) -> None:
 def wrong_attitude(d: SceneDraft) -> None:
     """The attitude is five times worse than believed."""
     d.names = ("budget",)
-    sigma = tuple(5.0 * s for s in d.drawn.attitude_sigma_rad)
-    d.drawn = dataclasses.replace(d.drawn, attitude_sigma_rad=sigma)
+    sigma = tuple(5.0 * s for s in d.true_budget.attitude_sigma_rad)
+    d.true_budget = dataclasses.replace(d.true_budget, attitude_sigma_rad=sigma)
 
 
 def wrong_beams(d: SceneDraft) -> None:
     """The beams are five times worse than believed."""
     d.names = ("budget",)
-    d.drawn = dataclasses.replace(
-        d.drawn,
-        beam_range_sigma_m=5.0 * d.drawn.beam_range_sigma_m,
-        beam_vertical_sigma_rad=5.0 * d.drawn.beam_vertical_sigma_rad,
+    d.true_budget = dataclasses.replace(
+        d.true_budget,
+        beam_range_sigma_m=5.0 * d.true_budget.beam_range_sigma_m,
+        beam_vertical_sigma_rad=5.0 * d.true_budget.beam_vertical_sigma_rad,
     )
 
 
 def wrong_position(d: SceneDraft) -> None:
     """The position is five times worse than believed, and wanders within 10 s."""
     d.names = ("budget",)
-    sigma = tuple(5.0 * s for s in d.drawn.position_sigma_m)
-    d.drawn = dataclasses.replace(d.drawn, position_sigma_m=sigma, tau_position_s=10.0)
+    sigma = tuple(5.0 * s for s in d.true_budget.position_sigma_m)
+    d.true_budget = dataclasses.replace(d.true_budget, position_sigma_m=sigma, tau_position_s=10.0)
 
 
 def wrong_boresight(d: SceneDraft) -> None:
     """The boresight is off by half a degree."""
     d.names = ("budget",)
-    d.drawn = dataclasses.replace(d.drawn, boresight_sigma_rad=(math.radians(0.5),) * 3)
+    d.true_budget = dataclasses.replace(d.true_budget, boresight_sigma_rad=(math.radians(0.5),) * 3)

@@ -60,10 +60,10 @@ class AdaptiveTin:
     ``duplicates`` counts the points on the map that lie on others · artificial : (a,) vertices that
     are no data points · triangle : (n,) triangle of each point, -1 off the map · residual : (n,) m,
     point minus surface, NaN off the map · same : (n,) the first point within the tolerance of each,
-    -1 off the map · inserted : (v,) data vertices in the order of insertion, the first ``initial``
-    of them by binning · score : (v,) criterion at insertion, NaN for the initial ones · cropped :
-    points off the map · window : the map · exact_predicates : how many predicates reached the exact
-    stage
+    -1 off the map · insertion_order : (v,) data vertices in the order of insertion, the first
+    ``initial`` of them by binning · score : (v,) criterion at insertion, NaN for the initial ones ·
+    off_map_count : points off the map · window : the map · exact_predicates : how many predicates
+    reached the exact stage
     """
 
     tin: Tin
@@ -71,10 +71,10 @@ class AdaptiveTin:
     triangle: I32
     residual: F64
     same: I32
-    inserted: I64
+    insertion_order: I64
     initial: int
     score: F64
-    cropped: int
+    off_map_count: int
     window: Window
     exact_predicates: int
 

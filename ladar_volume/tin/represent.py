@@ -51,10 +51,10 @@ class RepresentedSurface:
     which are there for the relevant triangles "all" only · fit : the points the heights were
     adjusted to; None where the heights are those of the points · adjust : how · converged : whether
     the adjustment reached its tolerance · exchanges : of diagonals · initial : vertices from
-    binning · cropped : points off the map · rms_m, asd_m, fitted : measures of fit in the end, and
-    over how many points; rms_before_m, asd_before_m : with the heights as measured · sampled : the
-    sampled area, where it tells the relevant triangles · adjusted_on : the surface before the
-    exchange of diagonals, where the heights were adjusted on that one
+    binning · off_map_count : points off the map · rms_m, asd_m, fit_count : measures of fit in the
+    end, and over how many points; rms_before_m, asd_before_m : with the heights as measured ·
+    sampled_area : the sampled area, where it tells the relevant triangles · adjusted_on : the
+    surface before the exchange of diagonals, where the heights were adjusted on that one
     """
 
     tin: Tin
@@ -63,13 +63,13 @@ class RepresentedSurface:
     converged: bool
     exchanges: int
     initial: int
-    cropped: int
+    off_map_count: int
     rms_m: float
     asd_m: float
-    fitted: int
+    fit_count: int
     rms_before_m: float
     asd_before_m: float
-    sampled: SampledArea | None = None
+    sampled_area: SampledArea | None = None
     adjusted_on: Tin | None = None
 
     def by_points(self, gradient: F64, points: int) -> F64:
@@ -172,7 +172,7 @@ def represent(
         made = RepresentedSurface(tin, None, "none", True, 0, initial, cropped, *none)
     else:
         made = adjust_surface(tin, points, options, sigma_m, initial, cropped)
-    return made if found is None else dataclasses.replace(made, sampled=found)
+    return made if found is None else dataclasses.replace(made, sampled_area=found)
 
 
 def sampled_only(tin: Tin, points: F64, options: SurfaceParameters) -> tuple[Tin, SampledArea]:
@@ -212,7 +212,7 @@ def initial_triangulation(
         bins_per_row=o.bins_per_row,
         duplicate_tolerance_m=o.duplicate_tolerance_m,
     )
-    return found.tin, found.initial, found.cropped
+    return found.tin, found.initial, found.off_map_count
 
 
 def without_artificial(tin: Tin) -> Tin:

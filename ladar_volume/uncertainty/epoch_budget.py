@@ -224,13 +224,13 @@ def boresight_second_order(
     C, C_own = C_new[BORESIGHT, BORESIGHT], C_old[BORESIGHT, BORESIGHT]
     if shared:
         J = new.J_cal[BORESIGHT] + old.J_cal[BORESIGHT]
-        return second_order(new.curvature + old.curvature, C, float(J @ C @ J))
+        return second_order(new.boresight_curvature + old.boresight_curvature, C, float(J @ C @ J))
     first = [
         float(s.J_cal[BORESIGHT] @ B @ s.J_cal[BORESIGHT]) for s, B in ((new, C), (old, C_own))
     ]
     one, two = (
-        second_order(new.curvature, C, first[0]),
-        second_order(old.curvature, C_own, first[1]),
+        second_order(new.boresight_curvature, C, first[0]),
+        second_order(old.boresight_curvature, C_own, first[1]),
     )
     return SecondOrder(
         one.shift_m3 + two.shift_m3, one.variance_m6 + two.variance_m6, one.matters or two.matters
@@ -287,7 +287,7 @@ def lines_of_epochs(
         own = own_lines(epoch, s)
         lines.update({f"{name}{end}": value for name, value in own.items()})
         second_orders[f"attitude_second_order{end}"] = attitude_second_order(
-            s.swing, epoch.sources.parameters.budget, own["attitude"]
+            s.attitude_curvature, epoch.sources.parameters.budget, own["attitude"]
         )
     second_lines, all_second = combine_second_orders(second_orders)
     return {**lines, **second_lines}, all_second

@@ -183,15 +183,15 @@ def _weights(counts: F64, n: int, square: float, noise: float) -> tuple[F64, F64
 
 class PairSums(NamedTuple):
     """What :func:`_iterate_field` fits the field to. products, counts : (k,) m² of pairs by lag ·
-    partners : (k, n, p), d : distances, packed, as :func:`pair_sums` gives them · known : (n, p)
-    what the fit took of the covariances that are known
+    partners : (k, n, p), d : distances, packed, as :func:`pair_sums` gives them · known_covariance
+    : (n, p) what the fit took of the covariances that are known
     """
 
     products: F64
     counts: F64
     partners: F64
     d: F64
-    known: F64
+    known_covariance: F64
 
 
 def _iterate_field(

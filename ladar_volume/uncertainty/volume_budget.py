@@ -77,15 +77,15 @@ class Budget:
 class Sensitivities:
     """Of one result to every source. C_results : (k, k) covariance from the returns' noise, of all
     results · tangential_m6 : variance from their noise within the surface · J_cal : (c,) ·
-    curvature : (3, 3) by the boresight · swing : the same by the attitude · navigation : by time
-    bin
+    boresight_curvature : (3, 3) by the boresight · attitude_curvature : the same by the attitude ·
+    navigation : by time bin
     """
 
     C_results: F64
     tangential_m6: float
     J_cal: F64
-    curvature: F64
-    swing: AttitudeCurvature
+    boresight_curvature: F64
+    attitude_curvature: AttitudeCurvature
     navigation: NavigationLoads
 
 
@@ -131,10 +131,10 @@ class Sources:
         second_order_lines, second = combine_second_orders(
             {
                 "boresight_second_order": second_order(
-                    s.curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT])
+                    s.boresight_curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT])
                 ),
                 "attitude_second_order": attitude_second_order(
-                    s.swing, self.parameters.budget, navigation["attitude"]
+                    s.attitude_curvature, self.parameters.budget, navigation["attitude"]
                 ),
             }
         )

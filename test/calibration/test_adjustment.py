@@ -51,8 +51,8 @@ def test_elimination_equals_the_adjustment_of_everything(problem):
     u, patches = 43 + effects.unknowns, int(o.patch.max()) + 1
     A = np.zeros((len(o.e), u + 3 * patches))
     for i in range(len(o.e)):  # every row written out, planes as unknowns of their own
-        A[i, :11] = o.shared[i]
-        A[i, 11 + o.ring[i]], A[i, 27 + o.ring[i]] = o.own[i]
+        A[i, :11] = o.shared_jacobian[i]
+        A[i, 11 + o.ring[i]], A[i, 27 + o.ring[i]] = o.own_jacobian[i]
         at = 43 + 6 * o.knot[i]
         A[i, at : at + 6] += (1 - o.share[i]) * o.nav[i]
         A[i, at + 6 : at + 12] += o.share[i] * o.nav[i]

@@ -73,7 +73,7 @@ def test_a_system_from_the_options_is_written_to_las(kind, tmp_path, capsys):
     assert [part.to_epsg() for part in crs.sub_crs_list] == [32616, 5703]
     assert out.header.point_format.id == kind[0] and str(out.header.version) == "1.4"
     assert (np.array(out.gps_time) == np.array(laspy.read(cloud).gps_time)[out["index"]]).all()
-    assert read_cloud(tmp_path / "b.laz").coordinates.read.heights == "NAVD88 height"
+    assert read_cloud(tmp_path / "b.laz").coordinates.file_coordinates.heights == "NAVD88 height"
 
 
 def test_heights_that_the_options_name_are_added_to_the_system_of_the_header(tmp_path, capsys):

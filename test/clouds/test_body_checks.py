@@ -99,7 +99,7 @@ def test_halves_that_make_no_body_are_doubted():
     v /= np.linalg.norm(v, axis=1)[:, None]
     made = cloud_bodies(v, None, None, np.zeros(len(v), np.int64), None)
     _, checked = check_bodies(made, BodyPoints(v, None, None, None), v, BodyParameters())
-    assert checked[0].tried == 6 and len(checked[0].between_m3) < 6
+    assert checked[0].half_count == 6 and len(checked[0].between_m3) < 6
     (doubt,) = check_doubts(checked)
     assert doubt.name == "body_half" and "scan it more densely" in doubt.text
 

@@ -60,10 +60,12 @@ def test_orientation_makes_no_difference():
             [np.roll(row, k) for row, k in zip(t, rng.integers(0, 3, len(t)), strict=True)]
         )
         assert volume(L_V, t[rng.permutation(len(t))], 0.5) == pytest.approx((6.0, 0.0, 12.0))
-    assert given_surface(L_V, L_T[:, ::-1]).turned == 0  # all the other way round: none is odd
+    assert (
+        given_surface(L_V, L_T[:, ::-1]).clockwise_faces == 0
+    )  # all the other way round: none is odd
     odd = L_T.copy()
     odd[2] = odd[2][::-1]
-    assert given_surface(L_V, odd).turned == 1
+    assert given_surface(L_V, odd).clockwise_faces == 1
 
 
 def test_a_wall_on_end_has_no_volume():
@@ -120,7 +122,9 @@ def test_a_body_is_sent_to_its_own_verb():
 def test_vertices_in_no_face_are_not_there():
     v = np.concatenate([[[1e6, -1e6, 5.0]], L_V, [[50.0, 60.0, 7.0]]])
     found = given_surface(v, L_T + 1)
-    assert found.unused == 3 and volume(v, L_T + 1, 0.0) == pytest.approx((12.0, 0.0, 12.0))
+    assert found.unused_vertices == 3 and volume(v, L_T + 1, 0.0) == pytest.approx(
+        (12.0, 0.0, 12.0)
+    )
     assert found.index.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
 
 

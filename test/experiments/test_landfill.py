@@ -127,14 +127,18 @@ def test_a_scan_without_noise_lies_on_the_surface_and_the_spheres(coarse):
 
 def test_one_body_end_to_end(study):
     body = study.bodies[0][0]
-    assert abs(body.found.removed_m3 - body.true_m3) < 4 * body.found.sigma_m3 < 0.01 * body.true_m3
-    assert body.found.between.pole_spread_m3 < 1e-9 * body.true_m3
+    assert (
+        abs(body.excavation.removed_m3 - body.true_m3)
+        < 4 * body.excavation.sigma_m3
+        < 0.01 * body.true_m3
+    )
+    assert body.excavation.between.pole_spread_m3 < 1e-9 * body.true_m3
     # of six spheres four are used: two are hidden or left out before, the one knocked over is found
     # after
     assert body.used[0] == [0, 1, 2, 3] and body.used[1] == [0, 1, 3, 4]
-    assert body.found.published_m3 / body.true_m3 > 1.005  # each over its own boundary
+    assert body.excavation.published_m3 / body.true_m3 > 1.005  # each over its own boundary
     assert body.rho.density_kg_m3 == pytest.approx(body.true_kg_m3, rel=0.01)
-    assert sum(body.found.budget_m6.values()) == pytest.approx(body.found.sigma_m3**2)
+    assert sum(body.excavation.budget_m6.values()) == pytest.approx(body.excavation.sigma_m3**2)
     shares = landfill.size_shares(body)
     assert shares["offset"] > 3 * shares["height"] > 10 * shares["noise"]
 

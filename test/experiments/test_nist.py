@@ -100,13 +100,13 @@ def test_a_scan_is_on_the_surfaces_with_noise_along_the_rays():
     assert along.std() == pytest.approx(0.02, rel=5.0 / np.sqrt(2 * len(along))) and abs(
         along.mean()
     ) < 5 * 0.02 / np.sqrt(len(along))
-    on_box = a.true[a.met == BOX]
+    on_box = a.true[a.target == BOX]
     assert (
         np.abs(on_box - BOX_M).min(axis=1) == pytest.approx(np.zeros(len(on_box)), abs=1e-12)
         and (on_box < BOX_M + 1e-12).all()
     )
     for code, axis in ((SCREEN_X, 0), (SCREEN_Y, 1), (FLOOR, 2)):
-        assert a.true[a.met == code, axis] == pytest.approx(0.0, abs=1e-12)
+        assert a.true[a.target == code, axis] == pytest.approx(0.0, abs=1e-12)
     b = scan(True, 0.01, np.random.default_rng(3), 0.02, 0.001)
     assert np.abs(b.points - a.points).max() <= 0.0005 + 1e-12
     part = a.part(np.array([3, 1]))

@@ -213,7 +213,7 @@ def test_units_of_geotiff_keys(keys, doubles, across, up, tmp_path):
     back = read_cloud(geokeys(tmp_path / "a.las", keys, doubles))
     assert back.r[1] == pytest.approx([6.001e5 * across, 2.102e5 * across, 2.0 * up], rel=1e-12)
     if 5103 in [v for _, v in keys.values()]:
-        assert back.coordinates.read.heights == "NAVD88"
+        assert back.coordinates.file_coordinates.heights == "NAVD88"
 
 
 @pytest.mark.parametrize(

@@ -180,8 +180,8 @@ def test_a_second_surface_is_the_base_within_each_outline(quiet):
 def test_a_second_surface_that_ends_within_an_outline_is_refused(quiet):
     half = site()[site()[:, 0] > -7.0]
     found = volumes(quiet, "second", second=surface_of(half))
-    assert [r.pile.name for r in found.refused] == ["P0"]
-    assert found.refused[0].error.reason == "pile_second"
+    assert [r.pile.name for r in found.refused_piles] == ["P0"]
+    assert found.refused_piles[0].error.reason == "pile_second"
     assert "pile_refused" in [d.name for d in found.verdict.doubts]
     assert [p.pile.name for p in found.piles] == ["P1"]
 
@@ -251,7 +251,7 @@ def test_piles_without_a_surface_are_refused_and_the_others_stay(quiet):
     piles = [*outlines(), Pile("far", octagon(90.0, 0.0, 3.0)), Pile("tiny", octagon(0, 0, 1e-4))]
     found = volumes(quiet, "toe_plane", piles=piles)
     assert [p.pile.name for p in found.piles] == ["P0", "P1"]
-    assert {r.error.reason for r in found.refused} == {"volume_no_triangle", "pile_small"}
+    assert {r.error.reason for r in found.refused_piles} == {"volume_no_triangle", "pile_small"}
     with pytest.raises(VolumeError, match="no part of the surface"):
         volumes(quiet, "toe_plane", piles=piles[2:3])
 

@@ -41,7 +41,7 @@ def centres(r, number=None):
 
 
 def error_m(found, x, R, t):
-    return float(np.abs(found.found.transform.apply(x) - (x @ R.T + t)).max())
+    return float(np.abs(found.registration.transform.apply(x) - (x @ R.T + t)).max())
 
 
 @pytest.mark.parametrize("n", [3, 4, 5])

@@ -45,12 +45,15 @@ def test_leaves_fill_their_ellipsoid_and_let_rays_pass():
 def test_fixes_jump_from_a_moment_on():
     trouble = make_trouble("gnss_jump", 4)
     flown = TroubledSurvey.of(trouble, 4)
-    still = dataclasses.replace(trouble, flown=dataclasses.replace(trouble.flown, jump_s=np.inf))
+    never = dataclasses.replace(trouble.flight_trouble, jump_s=np.inf)
+    still = dataclasses.replace(trouble, flight_trouble=never)
     t, jumped, _, _ = flown.fixes()
     apart = jumped - TroubledSurvey.of(still, 4).fixes()[1]
-    late = (t - EPOCH_NS) * 1e-9 >= trouble.flown.jump_s
+    late = (t - EPOCH_NS) * 1e-9 >= trouble.flight_trouble.jump_s
     assert not apart[~late].any() and 0 < np.count_nonzero(late) < len(t)
-    np.testing.assert_allclose(apart[late], np.tile(trouble.flown.jump_m, (late.sum(), 1)), 1e-9)
+    np.testing.assert_allclose(
+        apart[late], np.tile(trouble.flight_trouble.jump_m, (late.sum(), 1)), 1e-9
+    )
 
 
 def test_an_unknown_kind_is_refused():

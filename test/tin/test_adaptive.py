@@ -46,7 +46,7 @@ def by_brute_force(points, out, steps, criterion, sigma):
     """The next ``steps`` choices after the initial vertices, each from a triangulation made
     anew.
     """
-    chosen = list(out.inserted[: out.initial])
+    chosen = list(out.insertion_order[: out.initial])
     corners = out.tin.vertices[out.artificial]
     for _ in range(steps):
         vertices = np.concatenate([points[chosen], corners])
@@ -66,9 +66,9 @@ def test_every_choice_is_the_one_of_brute_force(criterion, seed):
     points = hills(150, seed)
     sigma = np.random.default_rng(seed).uniform(0.5, 2.0, 150)
     out = adaptive_tin(points, vertices=90, criterion=criterion, sigma_m=sigma, bins_per_row=3)
-    assert len(out.inserted) == 90 and out.initial == 6
+    assert len(out.insertion_order) == 90 and out.initial == 6
     for k, (index, value) in enumerate(by_brute_force(points, out, 84, criterion, sigma)):
-        assert out.inserted[6 + k] == index
+        assert out.insertion_order[6 + k] == index
         assert out.score[6 + k] == pytest.approx(value, rel=1e-9, abs=1e-12)
 
 
@@ -79,8 +79,8 @@ def test_the_result_is_delaunay_and_its_residuals_are_those_of_its_surface(crite
     tin = out.tin
     assert find_fault(tin.vertices[:, :2], tin.triangles, tin.neighbours) == ""
     assert (
-        len(out.inserted) == 333
-        and np.array_equal(np.sort(out.inserted), tin.source[:333])
+        len(out.insertion_order) == 333
+        and np.array_equal(np.sort(out.insertion_order), tin.source[:333])
         and len(tin.vertices) == 337
     )
     assert (
@@ -92,7 +92,7 @@ def test_the_result_is_delaunay_and_its_residuals_are_those_of_its_surface(crite
     ) and out.artificial.tolist() == [333, 334, 335, 336]
     heights, _ = surface_at(tin.vertices, tin.triangles, points[:, :2])
     np.testing.assert_allclose(out.residual, points[:, 2] - heights, rtol=0, atol=1e-12)
-    assert (out.residual[out.inserted] == 0.0).all()
+    assert (out.residual[out.insertion_order] == 0.0).all()
     rms, asd, count = out.fit_statistics(relevant_only=False)
     assert (
         count == 1000
@@ -112,7 +112,7 @@ def test_a_full_triangulation_has_every_point_and_no_residual():
     out = adaptive_tin(points, ratio=1.0)
     relevant = np.unique(out.tin.triangles[out.tin.relevant])
     assert (
-        len(out.inserted) == out.initial == 500
+        len(out.insertion_order) == out.initial == 500
         and (out.residual == 0.0).all()
         and out.fit_statistics() == (0.0, 0.0, len(relevant))
     )
@@ -133,9 +133,9 @@ def test_the_tolerance_ends_the_insertion_and_holds():
     for criterion in CRITERIA:
         out = adaptive_tin(points, tolerance=0.25, criterion=criterion, sigma_m=np.full(2000, 0.5))
         limit = 0.125 if criterion == "residual-sigma" else 0.25
-        assert np.abs(out.residual).max() <= limit and 50 < len(out.inserted) < 1500
-    assert len(adaptive_tin(points, tolerance=0.01, vertices=200).inserted) == 200
-    assert len(adaptive_tin(points, tolerance=np.inf, bins_per_row=2).inserted) == 2
+        assert np.abs(out.residual).max() <= limit and 50 < len(out.insertion_order) < 1500
+    assert len(adaptive_tin(points, tolerance=0.01, vertices=200).insertion_order) == 200
+    assert len(adaptive_tin(points, tolerance=np.inf, bins_per_row=2).insertion_order) == 2
 
 
 def test_a_plane_needs_no_more_than_its_corners():
@@ -146,13 +146,13 @@ def test_a_plane_needs_no_more_than_its_corners():
     assert (
         len(out.artificial) == 0
         and out.tin.relevant.all()
-        and len(out.inserted) == 5
+        and len(out.insertion_order) == 5
         and (out.residual == 0.0).all()
     )
     assert footprint_areas(out.tin.vertices, out.tin.triangles).sum() == 88.0
     spike = points.copy()
     spike[37, 2] += 1.0
-    assert adaptive_tin(spike, vertices=6, bins_per_row=1).inserted[5] == 37
+    assert adaptive_tin(spike, vertices=6, bins_per_row=1).insertion_order[5] == 37
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
@@ -163,8 +163,8 @@ def test_ties_go_to_the_first_point_whatever_the_grid(criterion):
         points, vertices=30, criterion=criterion, sigma_m=np.ones(81), bins_per_row=1
     )
     assert (
-        out.inserted[out.initial :].tolist()
-        == [k for k in range(81) if k not in out.inserted[: out.initial]][: 30 - out.initial]
+        out.insertion_order[out.initial :].tolist()
+        == [k for k in range(81) if k not in out.insertion_order[: out.initial]][: 30 - out.initial]
     )
     assert (out.score[out.initial :] == 0.0).all()
     assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
@@ -187,14 +187,14 @@ def test_binning_takes_the_point_nearest_each_centre_column_by_column():
     )
     out = adaptive_tin(points, vertices=8, bins_per_row=2)
     assert (
-        sorted(out.inserted[:4].tolist()) == [0, 1, 2, 3]
-        and out.inserted[4:].tolist() == [5, 6, 7, 9]
+        sorted(out.insertion_order[:4].tolist()) == [0, 1, 2, 3]
+        and out.insertion_order[4:].tolist() == [5, 6, 7, 9]
         and out.initial == 8
     )
     with pytest.raises(SurfaceError) as caught:
         adaptive_tin(points, vertices=7, bins_per_row=2)
     assert caught.value.reason == "surface_bins"
-    assert len(adaptive_tin(points, vertices=2).inserted) == 4  # corners are always vertices
+    assert len(adaptive_tin(points, vertices=2).insertion_order) == 4  # corners are always vertices
 
 
 def test_cropping_to_a_window_equals_cropping_before():
@@ -203,17 +203,17 @@ def test_cropping_to_a_window_equals_cropping_before():
     out = adaptive_tin(points, window=window)
     keep = (points[:, 0] >= 8) & (points[:, 0] <= 30) & (points[:, 1] >= 5) & (points[:, 1] <= 20)
     assert (
-        out.cropped == (~keep).sum()
+        out.off_map_count == (~keep).sum()
         and np.isnan(out.residual[~keep]).all()
         and (out.triangle[~keep] == -1).all()
     )
     before = adaptive_tin(points[keep], window=window)
-    assert np.array_equal(out.inserted, np.flatnonzero(keep)[before.inserted]) and np.array_equal(
-        out.tin.triangles, before.tin.triangles
-    )
-    assert np.array_equal(out.residual[keep], before.residual) and len(out.inserted) == round(
-        keep.sum() / 3
-    )
+    assert np.array_equal(
+        out.insertion_order, np.flatnonzero(keep)[before.insertion_order]
+    ) and np.array_equal(out.tin.triangles, before.tin.triangles)
+    assert np.array_equal(out.residual[keep], before.residual) and len(
+        out.insertion_order
+    ) == round(keep.sum() / 3)
     assert out.tin.vertices[:, :2].min(axis=0).tolist() == [8.0, 5.0] and out.window == window
 
 
@@ -232,7 +232,9 @@ def test_points_over_one_footprint_count_in_the_fit_but_are_one_vertex(tolerance
     points = np.concatenate([points, points[:50] + np.array([0.0, 0.0, 9.0]), points[:30]])
     out = adaptive_tin(points, ratio=1.0, duplicate_tolerance_m=tolerance)
     kept = np.flatnonzero(out.same == np.arange(280))
-    assert np.array_equal(np.sort(out.inserted), kept) and out.tin.duplicates == 280 - len(kept)
+    assert np.array_equal(np.sort(out.insertion_order), kept) and out.tin.duplicates == 280 - len(
+        kept
+    )
     assert (len(kept) == 200) == (tolerance == 0.0) and out.same[200] == out.same[0]
     if tolerance == 0.0:
         np.testing.assert_allclose(out.residual[200:250], 9.0, rtol=0, atol=1e-12)
@@ -247,7 +249,9 @@ def test_input_order_and_powers_of_two_change_nothing():
     points = hills(600, 9)
     order = np.random.default_rng(1).permutation(600)
     a, b, c = adaptive_tin(points), adaptive_tin(points[order]), adaptive_tin(points * 4.0)
-    assert np.array_equal(a.inserted, order[b.inserted]) and np.array_equal(a.inserted, c.inserted)
+    assert np.array_equal(a.insertion_order, order[b.insertion_order]) and np.array_equal(
+        a.insertion_order, c.insertion_order
+    )
     assert np.array_equal(a.residual[order], b.residual)
 
 
@@ -256,7 +260,7 @@ def test_map_coordinates(offset):
     points = hills(700, 10)
     points[:, :2] = np.round(points[:, :2] * 2**12) / 2**12  # exact at every offset
     out = adaptive_tin(points + np.array([offset, -offset, 0.0]))
-    assert np.array_equal(out.inserted, adaptive_tin(points).inserted)
+    assert np.array_equal(out.insertion_order, adaptive_tin(points).insertion_order)
     assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
 
 
@@ -264,7 +268,7 @@ def test_map_coordinates(offset):
 def test_one_to_three_points_on_a_given_map(count):
     points = np.array([[1.0, 1.0, 5.0], [2.0, 1.0, 6.0], [1.5, 2.0, 9.0]])[:count]
     out = adaptive_tin(points, window=(0.0, 0.0, 3.0, 3.0), ratio=1.0)
-    assert len(out.inserted) == count and out.tin.relevant.sum() == (count == 3)
+    assert len(out.insertion_order) == count and out.tin.relevant.sum() == (count == 3)
     assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
     if count < 3:
         with pytest.raises(SurfaceError, match="no point"):

@@ -48,7 +48,7 @@ def test_full_surfaces_are_delaunay_and_unadjusted_ones_give_their_gradient_to_t
     points = cloud()
     full = represent(points, SurfaceParameters(ratio=1.0))
     assert not find_fault(full.tin.vertices[:, :2], full.tin.triangles, full.tin.neighbours)
-    assert full.fit is None and (full.rms_m, full.asd_m, full.fitted) == (0.0, 0.0, 600)
+    assert full.fit is None and (full.rms_m, full.asd_m, full.fit_count) == (0.0, 0.0, 600)
     for options in (SurfaceParameters(ratio=1.0), SurfaceParameters(ratio=0.2, adjust="none")):
         made = represent(points, options)
         g = np.random.default_rng(1).normal(size=(len(made.tin.vertices), 2, 3))

@@ -130,8 +130,8 @@ def face_facts(mesh: MeshFile, surface: CloudSurface) -> dict[str, Any]:
     return {
         **mesh_facts(mesh),
         "vertical_faces": found.vertical,
-        "turned_faces": found.turned,
-        "unused_vertices": found.unused,
+        "turned_faces": found.clockwise_faces,
+        "unused_vertices": found.unused_vertices,
         "parts": found.parts,
         "overlap_m2": found.overlap.area_m2,
     }

@@ -129,8 +129,10 @@ def _pair_doubts(a: PointFile, b: PointFile) -> list[Doubt]:
                 reason="input_crs",
                 value=[part.name, other.name],
             )
-    if one.read.heights != two.read.heights:
-        seen = " and ".join(at.read.heights or "no vertical datum named" for at in (one, two))
+    if one.file_coordinates.heights != two.file_coordinates.heights:
+        seen = " and ".join(
+            at.file_coordinates.heights or "no vertical datum named" for at in (one, two)
+        )
         words = f"heights of 2 clouds, {seen}: their difference is in V; name it with --crs"
         return [Doubt("vertical_datum", words, 2.0)]
     return []

@@ -133,7 +133,7 @@ def pile_volumes(
     second = surfaces[1] if len(surfaces) == 2 else None
     named = base in ("second", "level", "plane") or a.base is not None
     words = base_words(a, base, parameters)
-    task = dataclasses.replace(asked, chosen=named, words=words, second=second)
+    task = dataclasses.replace(asked, is_named=named, words=words, second=second)
     return piles_of(surfaces[0], piles, task, progress)
 
 
@@ -156,7 +156,7 @@ def pile_facts(
         for d in pile.verdict.doubts
     )
     rows = [row_of(pile, parameters) for pile in site.piles]
-    rows += [refused_row(each) for each in site.refused]
+    rows += [refused_row(each) for each in site.refused_piles]
     facts: dict[str, Any] = {"piles": rows}
     whole = total_of(site)
     if whole is not None:

@@ -178,7 +178,7 @@ def _cell_batches(task: _Task, cells: Cells, ball: float, wanted: Bool, out: Cel
         run_in_threads(
             cell_surface.filter_cells, np.flatnonzero(some), turn, cells, rule, noise, known, out
         )
-        known.sets[some], known.sizes[some] = out.chosen[some], out.kind[some]
+        known.sets[some], known.sizes[some] = out.planes[some], out.kind[some]
 
 
 def _cell_noise(regions: Regions, cells: Cells, order: I64, ball: float) -> CellNoise:

@@ -72,7 +72,7 @@ class CellOutcome(NamedTuple):
     reason: I8
     kind: I64
     misfit: F64
-    chosen: F64
+    planes: F64
 
 
 class Cell(NamedTuple):

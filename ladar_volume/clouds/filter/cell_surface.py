@@ -244,7 +244,7 @@ def filter_cell(
         mark_cell(cell.v, cells, NO_SURFACE, out)
         return 0, 9.0
     _project(cell, cells, rule, pieces, -1 if curved else count, quadric, out)
-    planes, chosen = pieces.planes, out.chosen[cell.v]
+    planes, chosen = pieces.planes, out.planes[cell.v]
     for a in range(count):
         chosen[a] = planes[a]
         chosen[a, 3] += (

@@ -77,20 +77,20 @@ class VertexSurvey:
 
 @dataclass(frozen=True)
 class MappedSurvey:
-    """points : what is mapped · measured : gives the platform as measured, with the believed C_nav:
-    a volume without its sigma does not need it · mount : as known · normal : (n, 3) of the surface
-    that each hit
+    """points : what is mapped · measure_states : gives the platform as measured, with the believed
+    C_nav: a volume without its sigma does not need it · mount : as known · normal : (n, 3) of the
+    surface that each hit
     """
 
     points: MappedPoints
-    measured: Callable[[], PlatformStates]
+    measure_states: Callable[[], PlatformStates]
     mount: Mounting
     normal: F64
 
     @cached_property
     def states(self) -> PlatformStates:
         """The platform as measured."""
-        return self.measured()
+        return self.measure_states()
 
 
 @dataclass(frozen=True)

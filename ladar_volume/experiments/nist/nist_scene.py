@@ -40,20 +40,20 @@ class Scan:
     """One scan, cropped to the screens and the floor between them.
 
     points : (n, 3) m, measured · true : (n, 3) m, without noise and rounding · ray : (n, 3) unit
-    vectors from the scanner · met : (n,) what each ray met, one of FLOOR, SCREEN_X, SCREEN_Y, BOX ·
-    step_rad : of the angular grid
+    vectors from the scanner · target : (n,) what each ray met, one of FLOOR, SCREEN_X, SCREEN_Y,
+    BOX · step_rad : of the angular grid
     """
 
     points: F64
     true: F64
     ray: F64
-    met: I64
+    target: I64
     step_rad: float
 
     def part(self, index: I64) -> Scan:
         """The points ``index`` (k,) of this scan."""
         return Scan(
-            self.points[index], self.true[index], self.ray[index], self.met[index], self.step_rad
+            self.points[index], self.true[index], self.ray[index], self.target[index], self.step_rad
         )
 
 
@@ -171,7 +171,7 @@ def silhouette_rad2(samples: int = 400) -> float:
     """
     rng = np.random.default_rng(0)
     step = 0.6 / samples
-    return len(scan(False, step, rng, 0.0, 0.0).met) * step**2
+    return len(scan(False, step, rng, 0.0, 0.0).target) * step**2
 
 
 def step_for(points: int) -> float:

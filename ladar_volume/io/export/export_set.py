@@ -109,7 +109,7 @@ def write_points(path: Path, d: Deliverable) -> None:
     like = d.points.like
     las = None if like is None else like.las
     kept = like is not None and like.coordinates.keeps(d.system.crs, d.system.unit)
-    own = kept and like is not None and like.coordinates.read.said_by == "header"
+    own = kept and like is not None and like.coordinates.file_coordinates.said_by == "header"
     own = own and las is not None and (las.global_encoding.wkt or not is_copc(path))
     write_las(path, flat, comments, las, None if own else d.system.crs, kept, "1.4")
 

@@ -83,7 +83,7 @@ def system_of_cloud(at: MapCoordinates, file_units: bool) -> OutputSystem:
             "axes: leave --file-units out",
             value=words,
         )
-    return OutputSystem(at.read.crs, at.across)
+    return OutputSystem(at.file_coordinates.crs, at.across)
 
 
 def local_system(datum: Datum) -> OutputSystem:

@@ -53,10 +53,10 @@ class MeshFile:
     : triangles that were there already · joined, joined_m : vertices that were joined along open
     edges, and how far apart they were at most · invisible : faces of a LandXML that do not count ·
     columns : of the vertices, (n,), from a PLY · surface : name in a LandXML · unit : linear unit
-    that a LandXML names · epsg : code of its frame · said : what comments of the head say of the
-    coordinates, which are as the file holds them until :func:`in_metres` · at : their system
-    once they are in metres · breaklines : of a LandXML, (k, 3) m each · doubts : what makes it
-    doubtful
+    that a LandXML names · epsg : code of its frame · stated_coordinates : what comments of the head
+    say of the coordinates, which are as the file holds them until :func:`in_metres` · at : their
+    system once they are in metres · breaklines : of a LandXML, (k, 3) m each · doubts : what makes
+    it doubtful
     """
 
     vertices: F64
@@ -70,7 +70,7 @@ class MeshFile:
     surface: str = ""
     unit: str = ""
     epsg: str = ""
-    said: Coordinates | None = None
+    stated_coordinates: Coordinates | None = None
     at: MapCoordinates | None = None
     breaklines: tuple[F64, ...] = ()
     doubts: tuple[Doubt, ...] = ()
@@ -103,13 +103,15 @@ def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
         vertices, triangles, dropped = weld(
             soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
         )
-        return _repair(MeshFile(vertices, triangles, dropped, said=said), origin is None)
+        return _repair(
+            MeshFile(vertices, triangles, dropped, stated_coordinates=said), origin is None
+        )
     said = coordinates_of_head(path, ending)
     if ending == ".ply":
         vertices, faces, columns = read_ply_mesh(path)
-        return dataclasses.replace(_assemble(vertices, faces, columns), said=said)
+        return dataclasses.replace(_assemble(vertices, faces, columns), stated_coordinates=said)
     mesh = _assemble(*(read_obj if ending == ".obj" else read_off)(path))
-    return dataclasses.replace(mesh, said=said)
+    return dataclasses.replace(mesh, stated_coordinates=said)
 
 
 def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
@@ -172,7 +174,7 @@ def in_metres(mesh: MeshFile, reading: Reading) -> MeshFile:
     """
     if mesh.at is not None:
         return mesh
-    said = reconcile(mesh.said, reading)
+    said = reconcile(mesh.stated_coordinates, reading)
     # a body may be as tall and narrow as degrees look
     asked = dataclasses.replace(reading, refuse_degrees=False)
     vertices, at, more = to_metres(mesh.vertices.copy(), said, asked)

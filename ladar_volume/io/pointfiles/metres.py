@@ -33,13 +33,14 @@ EARTH_M = 6_371_000.0
 class MapCoordinates:
     """The system of a cloud's metres.
 
-    crs : of the metres, None where no CRS is named · read : as they stood in the file · across, up
-    : units that were read, assumed ones included · factor : m per unit of x, y and of z (nan for
-    degrees) · grid_scale : part by which lengths on the map are longer than on the ellipsoid
+    crs : of the metres, None where no CRS is named · file_coordinates : as they stood in the file ·
+    across, up : units that were read, assumed ones included · factor : m per unit of x, y and of z
+    (nan for degrees) · grid_scale : part by which lengths on the map are longer than on the
+    ellipsoid
     """
 
     crs: CRS | None = None
-    read: Coordinates = field(default_factory=lambda: Coordinates(said_by="nothing"))
+    file_coordinates: Coordinates = field(default_factory=lambda: Coordinates(said_by="nothing"))
     across: Unit | None = METRE
     up: Unit = METRE
     factor: tuple[float, float] = (1.0, 1.0)
@@ -53,12 +54,16 @@ class MapCoordinates:
             "crs": None if self.crs is None else self.crs.name,
             "code": code,
             "wkt": None if self.crs is None else self.crs.to_wkt(),
-            "read_crs": self.read.name if self.read.crs is not None else None,
+            "read_crs": self.file_coordinates.name
+            if self.file_coordinates.crs is not None
+            else None,
             "units_read": "degree" if self.across is None else self.across.name,
             "units_read_z": self.up.name,
             "units": "m",
-            "units_from": "assumed" if self.read.said_by == "nothing" else self.read.said_by,
-            "heights": self.read.heights,
+            "units_from": "assumed"
+            if self.file_coordinates.said_by == "nothing"
+            else self.file_coordinates.said_by,
+            "heights": self.file_coordinates.heights,
             "grid_scale": self.grid_scale,
             "volume_on_ground_factor": self.ground_factor,
         }
@@ -72,7 +77,7 @@ class MapCoordinates:
         """The system for a LAS file of these metres; None where the header that they were read with
         says the same already, and ``as_wkt`` says it so.
         """
-        kept = las is not None and self.are_metres and self.read.said_by == "header"
+        kept = las is not None and self.are_metres and self.file_coordinates.said_by == "header"
         kept = kept and (not as_wkt or bool(las is not None and las.global_encoding.wkt))
         return None if kept else self.crs
 
@@ -80,13 +85,13 @@ class MapCoordinates:
         """Whether coordinates in this system and unit are those that stood in the file."""
         if self.across is None or not (self.across.equals(unit) and self.up.equals(unit)):
             return False
-        return crs is self.crs if self.are_metres else crs is self.read.crs
+        return crs is self.crs if self.are_metres else crs is self.file_coordinates.crs
 
     def notes(self) -> list[str]:
         """Lines for the header of a file that holds these metres."""
         if self.crs is not None:
             return [f"crs: {self.crs.to_wkt()}", "units: m"]
-        return [] if self.read.said_by == "nothing" else ["units: m"]
+        return [] if self.file_coordinates.said_by == "nothing" else ["units: m"]
 
     @property
     def words(self) -> str:
@@ -95,8 +100,12 @@ class MapCoordinates:
         units = "degree" if self.across is None else self.across.name
         both = units if self.up.name == units else f"{units}, heights {self.up.name}"
         change = " → m" if (units, self.up.name) != ("metre", "metre") else ""
-        assumed = " (assumed)" if self.read.said_by == "nothing" else ""
-        heights = f"; heights above {self.read.heights}" if self.read.heights else ""
+        assumed = " (assumed)" if self.file_coordinates.said_by == "nothing" else ""
+        heights = (
+            f"; heights above {self.file_coordinates.heights}"
+            if self.file_coordinates.heights
+            else ""
+        )
         return f"{name}; units: {both}{change}{assumed}{heights}"
 
 

@@ -39,12 +39,12 @@ END_S = 20.0
 @dataclass(frozen=True)
 class MeshingOutcome:
     """What the thread found. survey : number of the survey that the returns belong to · t_ns :
-    stamp of the newest of them · meshed : the bodies, or error : why there are none
+    stamp of the newest of them · meshed_returns : the bodies, or error : why there are none
     """
 
     survey: int
     t_ns: int
-    meshed: MeshedReturns | None = None
+    meshed_returns: MeshedReturns | None = None
     error: Exception | None = None
 
 
@@ -104,7 +104,7 @@ class ClosedBodies:
             from ladar_volume.clouds.survey.survey_bodies import about, mesh_returns
 
             near = about(estimate, store.returns(), parameters)
-            self._ready = dataclasses.replace(job, meshed=mesh_returns(near, parameters))
+            self._ready = dataclasses.replace(job, meshed_returns=mesh_returns(near, parameters))
         except Exception as error:  # the worker tells of it, and of a defect as of any other
             self._ready = dataclasses.replace(job, error=error)
         while not self._offer("bodies", None):
@@ -121,9 +121,9 @@ class ClosedBodies:
             return None
         self.found, self.found_ns = None, ready.t_ns
         try:
-            if ready.meshed is None:
+            if ready.meshed_returns is None:
                 raise ready.error or self.error
-            self.found = with_budget(ready.meshed, sources(), parameters)
+            self.found = with_budget(ready.meshed_returns, sources(), parameters)
         except LadarVolumeError as error:
             self.error = error
             raise
