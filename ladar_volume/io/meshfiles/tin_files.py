@@ -45,11 +45,13 @@ def write_tin(
 
     Every vertex has ``source``, the row of its point in the cloud (-1: an artificial corner), and
     where ``sigma_z`` (n,), m, is given the standard deviation of its height. Faces are the relevant
-    triangles; with ``every`` all of them, marked by ``relevant``. ``notes`` become
-    comments. Raises :class:`OutputError` for files that cannot be written.
+    triangles; with ``every`` all of them, marked by ``relevant``. ``notes`` become comments. Raises
+    :class:`OutputError`.
     """
-    path = check_tin_output(path)
-    triangles = tin.triangles if every else tin.triangles[tin.relevant]
+    path, triangles = (
+        check_tin_output(path),
+        tin.triangles if every else tin.triangles[tin.relevant],
+    )
     used, inverse = np.unique(triangles, return_inverse=True)
     columns = {"x": tin.vertices[used, 0], "y": tin.vertices[used, 1], "z": tin.vertices[used, 2]}
     if sigma_z is not None:
