@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -70,6 +70,12 @@ class SecondOrder:
 
 
 @leaf_kernel
+def triple(a: F64) -> Vector:
+    """The three numbers of an array (3,)."""
+    return a[0], a[1], a[2]
+
+
+@leaf_kernel
 def cross(a: Vector, b: Vector) -> Vector:
     """``a x b``. Vectors are three numbers, not arrays: they stay in registers."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -95,71 +101,85 @@ def add_outer(out: F64, factor: float, a: Vector, b: Vector) -> None:
         out[i, 2] += row * b[2]
 
 
+class SeenPatch(NamedTuple):
+    """A patch seen from the mean pose of a time bin. m : its normal, v : from the sensor to it, m,
+    both in the body frame · load : on its height · part : of the patch that this bin saw
+    """
+
+    m: Vector
+    v: Vector
+    load: float
+    part: float
+
+
+@kernel
+def add_normal(half: F64, seen: SeenPatch) -> None:
+    """Adds to half (3, 3) of H what a turn of the ray does along the patch's normal."""
+    m, v, share = seen.m, seen.v, seen.load * seen.part
+    vv = 0.5 * share * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
+    add_outer(half, 0.5 * share, m, v)
+    for i in range(3):
+        half[i, i] -= vv
+
+
+@kernel
+def add_tangent(
+    half: F64,
+    mean: F64,
+    moving: F64,
+    seen: SeenPatch,
+    body: Vector,
+    lean: float,
+    slope: Vector,
+) -> None:
+    """Adds what a turn of the ray does along a tangent, ``body`` in the body frame, that rises by
+    ``lean`` of the normal: to half (3, 3) of H under a standing sensor, and to the pass's sums mean
+    and moving (3,), with the patch's own sensitivity ``slope`` along that tangent.
+    """
+    v, m, part = seen.v, seen.m, seen.part
+    upon, standing, vm = cross(v, body), cross(body, m), cross(v, m)
+    # a place is one of the map's plane: what moved along the normal came from beside it
+    shift = (upon[0] - lean * vm[0], upon[1] - lean * vm[1], upon[2] - lean * vm[2])
+    for i in range(3):
+        mean[i] += (abs(part) + 1e-12) * shift[i]
+        moving[i] += seen.load * (slope[i] - part * standing[i])
+    add_outer(half, -(seen.load * part), shift, standing)
+
+
 @kernel
 def curvature_kernel(
-    q: F64,
-    rows: BinRows,
-    bins: I64,
-    position: F64,
-    R: F64,
-    centre: F64,
-    slope: F64,
+    q: F64, rows: BinRows, bins: I64, position: F64, R: F64, centre: F64, slope: F64
 ) -> F64:
     """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with centres (m, 3) and slopes
     (m, 2) against their mean; their sensitivities by row of ascending bins (b,), whose mean poses
     are (b, 3) and (b, 3, 3).
     """
     start, index, M_nav, unit = rows.start, rows.bins, rows.M, rows.unit
-    normal, tangent = rows.normal, rows.tangent
     H, mean, moving, weight = np.zeros((len(bins), 3, 3)), np.zeros((2, 3)), np.zeros((2, 3)), 0.0
     for a in np.flatnonzero(q[:, 0]):
-        n, t = (
-            (normal[a, 0], normal[a, 1], normal[a, 2]),
-            (tangent[a, 0], tangent[a, 1], tangent[a, 2]),
-        )
+        n, t, c = triple(rows.normal[a]), triple(rows.tangent[a]), centre[a]
         along = (t, cross(n, t))
         downhill, beside = (slope[a, 0], slope[a, 1], 0.0), (-slope[a, 1], slope[a, 0], 0.0)
         upright = math.copysign(max(abs(n[2]), STEEPEST), n[2])
         for e in range(start[a], start[a + 1]):
-            M, b = M_nav[e], index[e]
-            half, turn = H[b], R[b]
-            part = unit[a, 0, 0] * M[0, 0]
-            share, own = q[a, 0] * part, abs(part) + 1e-12
-            m = rotate_back(turn, n)
-            v = rotate_back(
-                turn,
-                (
-                    centre[a, 0] - position[b, 0],
-                    centre[a, 1] - position[b, 1],
-                    centre[a, 2] - position[b, 2],
-                ),
-            )
-            vm, vv = cross(v, m), 0.5 * share * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
-            add_outer(half, 0.5 * share, m, v)
-            for i in range(3):
-                half[i, i] -= vv
+            M, b, u = M_nav[e], index[e], unit[a]
+            half, turn, at = H[b], R[b], position[b]
+            away = (c[0] - at[0], c[1] - at[1], c[2] - at[2])
+            part = u[0, 0] * M[0, 0]
+            seen = SeenPatch(rotate_back(turn, n), rotate_back(turn, away), q[a, 0], part)
+            add_normal(half, seen)
             for k in range(2):
+                w, row, lean = u[k + 1, 1], M[k + 1], along[k][2] / upright
+                own = (w * row[1], w * row[2], w * row[3])
                 body = rotate_back(turn, along[k])
-                upon, standing, lean = cross(v, body), cross(body, m), along[k][2] / upright
-                # a place is one of the map's plane: what moved along the normal came from beside it
-                shift = (upon[0] - lean * vm[0], upon[1] - lean * vm[1], upon[2] - lean * vm[2])
-                for i in range(3):
-                    mean[k, i] += own * shift[i]
-                    moving[k, i] += q[a, 0] * (
-                        unit[a, k + 1, 1] * M[k + 1, 1 + i] - part * standing[i]
-                    )
-                add_outer(half, -share, shift, standing)
+                add_tangent(half, mean[k], moving[k], seen, body, lean, own)
             # along the slope: by how much a place is shifted, and how that changes with its height
-            add_outer(
-                half,
-                -share * upright,
-                rotate_back(turn, beside),
-                cross(v, rotate_back(turn, downhill)),
-            )
-            weight += own
+            factor, fall = -(q[a, 0] * part) * upright, cross(seen.v, rotate_back(turn, downhill))
+            add_outer(half, factor, rotate_back(turn, beside), fall)
+            weight += abs(part) + 1e-12
             if e + 1 == start[a + 1] or bins[index[e + 1]] > bins[b] + 1:  # the pass ends
                 for k in range(2):
-                    add_outer(half, -1.0 / weight, mean[k], moving[k])
+                    add_outer(half, -1.0 / weight, triple(mean[k]), triple(moving[k]))
                 mean[:], moving[:], weight = 0.0, 0.0, 0.0
     for b in range(len(bins)):
         H[b] += H[b].T.copy()

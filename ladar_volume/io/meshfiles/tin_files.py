@@ -40,18 +40,15 @@ def write_tin(
     every: bool = False,
     notes: Sequence[str] = (),
 ) -> tuple[int, int]:
-    """Write a surface as binary PLY, double coordinates; whole, or not at all. Returns the numbers
-    of vertices and faces written.
+    """Write a surface as binary PLY in double; whole or not. Returns numbers of vertices, faces.
 
     Every vertex has ``source``, the row of its point in the cloud (-1: an artificial corner), and
     where ``sigma_z`` (n,), m, is given the standard deviation of its height. Faces are the relevant
     triangles; with ``every`` all of them, marked by ``relevant``. ``notes`` become comments. Raises
     :class:`OutputError`.
     """
-    path, triangles = (
-        check_tin_output(path),
-        tin.triangles if every else tin.triangles[tin.relevant],
-    )
+    path = check_tin_output(path)
+    triangles = tin.triangles if every else tin.triangles[tin.relevant]
     used, inverse = np.unique(triangles, return_inverse=True)
     columns = {"x": tin.vertices[used, 0], "y": tin.vertices[used, 1], "z": tin.vertices[used, 2]}
     if sigma_z is not None:
