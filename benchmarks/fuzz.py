@@ -262,7 +262,7 @@ def play(node: GeoreferenceNode, count: int, seed: int) -> dict[str, int]:
                 type(message),
                 _on_the_way(data, random_) if bad and random_.random() < 0.25 else data,
             )
-            while node._queue.qsize() > 100:
+            while node.queue.qsize() > 100:
                 time.sleep(0.001)
     node.stop()
     return offered

@@ -97,7 +97,7 @@ BUGS = (
     Bug(
         "sync chunk never asked for",
         "io/mcap_log.py",
-        "self._syncer.request()",
+        "self.syncer.request()",
         "pass",
         "test_each_chunk_is_confirmed_by_default",
     ),

@@ -60,6 +60,7 @@ LOG = ("io/test_recorder.py", "test_planted_bugs.py", HERE)
 SETS = ("io/test_output_set.py", HERE)
 LOGGER = ("nodes/test_logger_node.py", "test_planted_bugs.py", HERE)
 FLOW = ("nodes/test_flow_control.py", "nodes/test_passes_health.py", "nodes/test_flush.py", HERE)
+CDR = ("io/test_cdr.py", "nodes/test_epoch_node.py", HERE)
 CONVERT = ("nodes/test_epoch_node.py", "nodes/test_flush.py", HERE)
 
 LINES = (
@@ -467,8 +468,8 @@ LINES = (
     Line(
         "room for one reserve after the disk was full",
         "io/recorder.py",
-        "self._has_room(2 if self.problem else 1)",
-        "self._has_room(1)",
+        "self.has_room(2 if self.problem else 1)",
+        "self.has_room(1)",
         LOG,
     ),
     Line(
@@ -579,17 +580,17 @@ LINES = (
     ),
     Line(
         "tilt about x and y exchanged",
-        "nodes/convert.py",
+        "io/cdr.py",
         "[0, 0, 1.0], [0, -1.0, 0]",
         "[0, 1.0, 0], [0, 0, -1.0]",
-        CONVERT,
+        CDR,
     ),
     Line(
         "the base's normal mirrored",
-        "nodes/convert.py",
+        "io/cdr.py",
         "np.array([-slope[0], -slope[1], 1.0])",
         "np.array([slope[0], slope[1], 1.0])",
-        CONVERT,
+        CDR,
     ),
 )
 

@@ -112,7 +112,9 @@ def main() -> None:
         facts, seen, _, _ = replayed(a.bag, a.folder, words, after)
         facts.pop("tiles")
         equal, killed = equal + (facts == alone), killed + seen["killed"]
-        print(f"run {k + 1}: killed {seen['killed']} after {after:.1f} s, {equal} equal", flush=True)
+        print(
+            f"run {k + 1}: killed {seen['killed']} after {after:.1f} s, {equal} equal", flush=True
+        )
     if a.kills:
         print(f"{equal} of {a.kills} runs equal, {killed} workers killed")
 

@@ -158,7 +158,7 @@ class Replay:
         "" for nothing. Of poses and clouds only those within a span, where one is given.
         """
         first, last = self.span
-        items = self._recorded_messages(poses or self.span, clouds or self.span, poses is not None)
+        items = self.recorded_messages(poses or self.span, clouds or self.span, poses is not None)
         if self.poses is not None:
             items = heapq.merge(
                 items,
@@ -187,7 +187,7 @@ class Replay:
                 yield record.t_ns, role, record
         self.losses.merge(poses.losses())
 
-    def _recorded_messages(
+    def recorded_messages(
         self, poses: Span, clouds: Span, part: bool
     ) -> Iterator[tuple[int, str, Any]]:
         roles = {

@@ -146,7 +146,7 @@ def test_each_chunk_is_confirmed_by_default(tmp_path, monkeypatch):
         for _ in range(500):
             if len(asked) > before:
                 break
-            log._syncer._thread.join(0.01)
+            log.syncer.thread.join(0.01)
         assert asked[before:] == [inode]
     log.close()
     quiet = McapLog(LoggerParameters(sync="close"), tmp_path / "b.mcap")
@@ -181,7 +181,7 @@ def test_what_the_queue_of_the_log_does_not_take_is_counted():
     node = SimpleNamespace(
         _active=True,
         _recorder=SimpleNamespace(account=lambda name: account),
-        _queue=SimpleNamespace(full=lambda: False),
+        queue=SimpleNamespace(full=lambda: False),
         _offered=0,
         _taken=0,
         _now=lambda: 0,
@@ -194,7 +194,7 @@ def test_what_the_queue_of_the_log_does_not_take_is_counted():
             node, "chat", known, bytes(900_000), {"publication_sequence_number": k + 1}
         )
     assert len(taken) == 2 and account.queue == 3 and account.middleware == 0
-    node._queue.full = lambda: True
+    node.queue.full = lambda: True
     node._taken = node._offered
     LoggerNode._take(node, "chat", known, b"", {"publication_sequence_number": 6})
     assert len(taken) == 2 and account.queue == 4
@@ -213,7 +213,7 @@ def test_the_file_being_written_is_never_deleted(tmp_path):
     recorder.split(1)
     recorder.write("chat", "std_msgs/msg/String", b"\0\1\0\0\2\0\0\0a\0", 2)
     free[0] = 0
-    assert not recorder._has_room(1)
+    assert not recorder.has_room(1)
     assert [p.name for p in tmp_path.glob("*.mcap")] == ["log_1.mcap"]
     assert recorder.path.name == "log_1.mcap" and recorder.deleted == ["log.mcap"]
 
@@ -260,5 +260,5 @@ def test_a_confirmation_that_failed_is_told(tmp_path, monkeypatch):
         for k in range(200):
             log.write("chat", "std_msgs/msg/String", b"\0\1\0\0\2\0\0\0a\0", k)
             log.flush()
-            log._syncer._thread.join(0.01)
+            log.syncer.thread.join(0.01)
     log.abandon()

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "ladar_volume"
+TESTS = Path(__file__).parent
 #: Rooms in the order of the data flow: each imports only from those before it (and itself).
 CORE = [
     "math",
@@ -40,6 +41,10 @@ MODULES = 20
 #: a function, docstring included, and how many functions have more. All but 8 and 40 only go down.
 ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 2, 3, 63
 LINES, TALL = 40, 7
+#: Private members that tests reach into: of argparse, IPython and dask, and one seam of a node that
+#: no ROS graph is started for. It only goes down. Characters of a line without its pragma, and
+#: places that are not formatted.
+PRIVATE, WIDTH, UNFORMATTED = 14, 100, 20
 
 
 def name_of(path):
@@ -169,6 +174,42 @@ def test_few_arguments_are_annotated_as_any():
         if isinstance(a.annotation, ast.Name) and a.annotation.id == "Any"
     ]
     assert len(found) <= ANY, "\n".join(found)
+
+
+def test_tests_touch_few_private_members():
+    found = [
+        f"{path.relative_to(TESTS)}:{n.lineno}: {ast.unparse(n)}"
+        for path in sorted(TESTS.rglob("*.py"))
+        for n in ast.walk(ast.parse(path.read_text()))
+        if isinstance(n, ast.Attribute) and n.attr.startswith("_") and not n.attr.startswith("__")
+        if not (isinstance(n.value, ast.Name) and n.value.id in ("self", "cls"))
+    ]
+    assert len(found) <= PRIVATE, "\n".join(found)
+
+
+def is_long(line):
+    pragma = min(
+        (line.find(w) for w in ("  # type: ignore", "  # noqa") if w in line), default=None
+    )
+    return len(line[:pragma]) > WIDTH
+
+
+def test_lines_are_short_and_formatted():
+    texts = {p: p.read_text() for p in [*FILES, *sorted(TESTS.rglob("*.py"))]}
+    long = [p for p, text in texts.items() if any(map(is_long, text.split("\n")))]
+    assert not long
+    assert sum(text.count("# fmt: " + "skip") for text in texts.values()) <= UNFORMATTED
+
+
+def test_importing_the_package_changes_no_environment_variable():
+    import subprocess
+
+    code = (
+        "import os\nbefore = dict(os.environ)\n"
+        "import ladar_volume, ladar_volume.pipeline, ladar_volume.api.verbs\n"
+        "assert dict(os.environ) == before"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGE.parent)
 
 
 def test_parameters_of_users_stand_in_the_model():

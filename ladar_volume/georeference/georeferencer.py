@@ -124,7 +124,7 @@ class Georeferencer:
         self._begin()
 
     def _begin(self) -> None:
-        self._trajectory = Trajectory(self._p, self.mount.lever_antenna)
+        self.trajectory = Trajectory(self._p, self.mount.lever_antenna)
         jump = max(JUMP_S, 2 * self._p.max_position_gap_s, 2 * self._p.max_attitude_gap_s)
         self._fixes: TimeOrder[tuple[Fix, F64]] = TimeOrder("fix", jump)
         self._imus: TimeOrder[tuple[ImuSample, F64, F64]] = TimeOrder("imu", jump)
@@ -179,7 +179,7 @@ class Georeferencer:
             self._frame = LocalFrame(Datum(fix.latitude_deg, fix.longitude_deg, fix.height_m))
         turn = self._frame.convergence(fix.latitude_deg, fix.longitude_deg)
         p_map = self._frame.to_map(fix.latitude_deg, fix.longitude_deg, fix.height_m)
-        self._trajectory.add_position(
+        self.trajectory.add_position(
             fix.t_ns, p_map, turn @ C_enu @ turn.T, quaternion_from_matrix(turn)
         )
 
@@ -198,7 +198,7 @@ class Georeferencer:
 
     def _take_imu(self, sample: tuple[ImuSample, F64, F64]) -> None:
         for good, q_good, C_good in self._in_order(self._imus, sample[0].t_ns, sample):
-            self._trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good)
+            self.trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good)
             self._refer(good.t_ns)
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -215,8 +215,8 @@ class Georeferencer:
 
     def _take_odometry(self, sample: tuple[OdometrySample, F64, F64]) -> None:
         for good, q_good, C_good in self._in_order(self._odometry, sample[0].t_ns, sample):
-            self._trajectory.add_position(good.t_ns, good.p_map_body, C_good[:3, :3])
-            self._trajectory.add_attitude(
+            self.trajectory.add_position(good.t_ns, good.p_map_body, C_good[:3, :3])
+            self.trajectory.add_attitude(
                 good.t_ns, q_good, good.omega_body, C_good[3:, 3:], C_good[:3, 3:]
             )
             self._refer(good.t_ns)
@@ -326,7 +326,7 @@ class Georeferencer:
         """
         if not self._waiting:
             return
-        decided, begin = self._trajectory.decided_ns, self._trajectory.begin_ns
+        decided, begin = self.trajectory.decided_ns, self.trajectory.begin_ns
         known_ns = max(
             t for t in (decided, None if begin is None else begin - 1, -1) if t is not None
         )
@@ -344,13 +344,13 @@ class Georeferencer:
                 self._waiting.append(rest)
 
     def _decide(self) -> None:
-        states = self._trajectory.decide()
+        states = self.trajectory.decide()
         if states is not None:
             self._states.append(states)
 
     def _map(self, cloud: _WaitingReturns, decided_ns: int | None) -> None:
         returns = cloud.returns
-        path = self._trajectory.window(cloud.first_ns, cloud.last_ns)
+        path = self.trajectory.window(cloud.first_ns, cloud.last_ns)
         mapped = map_returns(
             returns.t_ns,
             returns.r_laser,
@@ -376,7 +376,7 @@ class Georeferencer:
     def _count_uncovered(self, t_ns: I64, decided_ns: int | None) -> None:
         if len(t_ns) == 0:
             return
-        begin = self._trajectory.begin_ns
+        begin = self.trajectory.begin_ns
         before = t_ns < begin if begin is not None else np.zeros(len(t_ns), bool)
         after = ~before & (t_ns > decided_ns if decided_ns is not None else True)
         self.losses.add("point_before_trajectory", int(np.count_nonzero(before)))

@@ -142,7 +142,7 @@ class Trajectory:
         # it is a state
         keep_ns = round(max(KNOTS_KEPT_S, 2.0 * parameters.max_pending_s) * 1e9)
         self._position = Knots(KNOT_LIMIT, keep_ns, p=(3,), C=(3, 3), convergence=(4,))
-        self._attitude = Knots(
+        self.attitude = Knots(
             KNOT_LIMIT, keep_ns, q=(4,), q_map=(4,), omega=(3,), C=(3, 3), cross=(3, 3)
         )
         self._decided = 0
@@ -169,7 +169,7 @@ class Trajectory:
         the attitudes around), body rotation vector covariance (3, 3) rad², and its covariance with
         the position (3, 3) where the pose comes as one.
         """
-        forgotten = self._attitude.append(
+        forgotten = self.attitude.append(
             t_ns,
             -1,
             q=q_local_body,
@@ -183,7 +183,7 @@ class Trajectory:
     @property
     def begin_ns(self) -> int | None:
         """Nothing before this time will ever be covered; None while it is not known."""
-        firsts = [int(knots.t_ns[0]) for knots in (self._position, self._attitude) if len(knots)]
+        firsts = [int(knots.t_ns[0]) for knots in (self._position, self.attitude) if len(knots)]
         if self._first_state_ns is not None:
             firsts.append(self._first_state_ns)
         return max(firsts, default=None)
@@ -194,7 +194,7 @@ class Trajectory:
         it); None at the start.
         """
         count = self._decidable()
-        return int(self._attitude.t_ns[count - 1]) if count else None
+        return int(self.attitude.t_ns[count - 1]) if count else None
 
     def _decidable(self) -> int:
         need = 2 if self._hermite else 1
@@ -204,16 +204,12 @@ class Trajectory:
         # more, unless it has no weight there
         count = int(
             np.searchsorted(
-                self._attitude.t_ns,
+                self.attitude.t_ns,
                 self._position.t_ns[-need],
                 side="right" if self._hermite else "left",
             )
         )
-        if (
-            count
-            and count == len(self._attitude)
-            and np.isnan(self._attitude["omega"][count - 1, 0])
-        ):
+        if count and count == len(self.attitude) and np.isnan(self.attitude["omega"][count - 1, 0]):
             return count - 1  # its rate needs the next attitude
         return count
 
@@ -223,7 +219,7 @@ class Trajectory:
         if hi <= lo:
             return None
         self._decided = hi
-        t = self._attitude.t_ns[lo:hi]
+        t = self.attitude.t_ns[lo:hi]
         pos_t, gap_id = self._position.t_ns, self._position.tag
         j = np.searchsorted(pos_t, t, side="right") - 1
         at = np.maximum(j, 0)
@@ -231,12 +227,12 @@ class Trajectory:
         # exactly at the last knot before a gap: the interval on the left serves
         left = ~right & (j >= 1) & (pos_t[at] == t) & (gap_id[np.maximum(j - 1, 0)] == gap_id[at])
         valid = (right | left) & self._fill_rates(lo, hi)
-        self._attitude.tag[lo:hi] = self._segments(t, valid, gap_id[at])
+        self.attitude.tag[lo:hi] = self._segments(t, valid, gap_id[at])
         turn = self._position["convergence"][at]
         turned = (turn[:, :3] != 0).any(axis=1)
-        q = self._attitude["q"][lo:hi].copy()
+        q = self.attitude["q"][lo:hi].copy()
         q[turned] = multiply_quaternions(turn[turned], q[turned])
-        self._attitude["q_map"][lo:hi] = q
+        self.attitude["q_map"][lo:hi] = q
         rows = np.flatnonzero(valid)
         if len(rows) == 0:
             return None
@@ -245,13 +241,13 @@ class Trajectory:
         return self._states(lo + rows, np.where(right, at, at - 1)[rows])
 
     def _fill_rates(self, lo: int, hi: int) -> npt.NDArray[np.bool_]:
-        omega = self._attitude["omega"]
+        omega = self.attitude["omega"]
         missing = np.isnan(omega[lo:hi, 0])
         if missing.any():
             first = max(lo - 1, 0)
             around = slice(first, hi + 1)
             rates = rates_from_attitudes(
-                self._attitude.t_ns[around], self._attitude["q"][around], self._attitude_gap_ns
+                self.attitude.t_ns[around], self.attitude["q"][around], self._attitude_gap_ns
             )
             omega[lo:hi][missing] = rates[lo - first : hi - first][missing]
         known: npt.NDArray[np.bool_] = np.isfinite(omega[lo:hi, 0])
@@ -274,17 +270,17 @@ class Trajectory:
         """States at attitudes ``k`` whose positions lie in the intervals after knots ``j``."""
         first = max(int(j[0]) - 1, 0)
         window = self._position_window(first, int(j[-1]) + 3)
-        t = self._attitude.t_ns[k]
+        t = self.attitude.t_ns[k]
         p_antenna, v_map = interpolate_position(window, t, j - first)
-        q, omega = self._attitude["q_map"][k], self._attitude["omega"][k]
+        q, omega = self.attitude["q_map"][k], self.attitude["omega"][k]
         R = matrix_from_quaternion(q)
         f = ((t - self._position.t_ns[j]) / (self._position.t_ns[j + 1] - self._position.t_ns[j]))[
             :, None, None
         ]
         C = np.zeros((len(k), 6, 6))
         C[:, :3, :3] = (1.0 - f) * self._position["C"][j] + f * self._position["C"][j + 1]
-        C[:, 3:, 3:] = self._attitude["C"][k]
-        C[:, :3, 3:] = self._attitude["cross"][k]
+        C[:, 3:, 3:] = self.attitude["C"][k]
+        C[:, :3, 3:] = self.attitude["cross"][k]
         C[:, 3:, :3] = np.swapaxes(C[:, :3, 3:], 1, 2)
         return PlatformStates(
             t_ns=t.copy(),
@@ -293,7 +289,7 @@ class Trajectory:
             v_body=np.einsum("nji,nj->ni", R, v_map) - np.cross(omega, self._lever_antenna),
             omega_body=omega,
             C_nav=C,
-            segment=self._attitude.tag[k],
+            segment=self.attitude.tag[k],
         )
 
     def _position_window(self, lo: int, hi: int) -> PathWindow:
@@ -308,7 +304,7 @@ class Trajectory:
         """The decided knots that cover times from ``first_ns`` to ``last_ns``, with one to spare on
         either side.
         """
-        decided = self._attitude.t_ns[: self._decided]
+        decided = self.attitude.t_ns[: self._decided]
         k0 = max(int(np.searchsorted(decided, first_ns, side="right")) - 1, 0)
         k1 = min(int(np.searchsorted(decided, last_ns, side="left")) + 1, self._decided)
         part = slice(k0, max(k1, k0))
@@ -320,6 +316,6 @@ class Trajectory:
         path = self._position_window(lo, hi)
         return path._replace(
             state_t=state_t,
-            state_q=self._attitude["q_map"][part],
-            state_segment=self._attitude.tag[part],
+            state_q=self.attitude["q_map"][part],
+            state_segment=self.attitude.tag[part],
         )

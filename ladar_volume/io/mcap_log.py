@@ -57,8 +57,8 @@ class _Syncer:
         self._descriptor = descriptor
         self._due, self._ended = threading.Event(), False
         self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run, name="sync", daemon=True)
+        self.thread.start()
 
     def _run(self) -> None:
         while True:
@@ -81,7 +81,7 @@ class _Syncer:
         """Wait for a confirmation in progress; no further one is asked for."""
         self._ended = True
         self._due.set()
-        self._thread.join()
+        self.thread.join()
 
 
 class McapLog:
@@ -113,7 +113,7 @@ class McapLog:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.path.open("xb")
         lock(self._stream.fileno())  # nobody repairs a file that is being written
-        self._syncer = _Syncer(self._stream.fileno()) if self.parameters.sync == "chunk" else None
+        self.syncer = _Syncer(self._stream.fileno()) if self.parameters.sync == "chunk" else None
         self._writer = Writer(
             self._stream, chunk_size=2**31, compression=COMPRESSION[self.parameters.compression]
         )
@@ -200,8 +200,8 @@ class McapLog:
     def _flush(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._stream.flush()
-        if self._syncer is not None:
-            self._syncer.request()
+        if self.syncer is not None:
+            self.syncer.request()
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Attach named text values, such as the effective parameters."""
@@ -227,9 +227,9 @@ class McapLog:
         self._stream.close()
 
     def _end_sync(self) -> None:
-        if self._syncer is not None:
-            self._syncer.end()
-            self._syncer = None
+        if self.syncer is not None:
+            self.syncer.end()
+            self.syncer = None
 
     def abandon(self) -> None:
         """Let go of a file the disk no longer takes; what it holds can be repaired."""

@@ -117,7 +117,7 @@ def _try_exchange(part: Path, folder: Path, replaced: Sequence[str]) -> bool:
             os.link(folder / name, part / name, follow_symlinks=False)
             linked.append(part / name)
         part.chmod(stat.S_IMODE(folder.stat().st_mode))
-        _exchange(part, folder)
+        exchange(part, folder)
     except OSError:
         for path in linked:
             path.unlink(missing_ok=True)
@@ -129,7 +129,7 @@ def _try_exchange(part: Path, folder: Path, replaced: Sequence[str]) -> bool:
     return True
 
 
-def _exchange(one: Path, other: Path) -> None:
+def exchange(one: Path, other: Path) -> None:
     """Two paths change places (renameat2(2)). Raises OSError, also where the system cannot."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2

@@ -139,7 +139,7 @@ class Recorder:
         refused = self._refusal_reason()
         if refused:
             raise OutputError(f"{self._base}: cannot be written: {refused}", value=str(self._base))
-        if self._has_room(1):
+        if self.has_room(1):
             self._open(0)
         else:
             self._wait_for_room()
@@ -301,7 +301,7 @@ class Recorder:
 
     def _room(self) -> None:
         """Keep the reserve free, else finish this file and wait."""
-        if not self._has_room(1):
+        if not self.has_room(1):
             self._finish()
             self._wait_for_room()
 
@@ -333,7 +333,7 @@ class Recorder:
         )
         self._again = time.monotonic() + RETRY_S
 
-    def _has_room(self, times: int) -> bool:
+    def has_room(self, times: int) -> bool:
         """Whether so many reserves are free, if need be after the oldest finished files were
         deleted, where the parameters say so.
         """
@@ -360,7 +360,7 @@ class Recorder:
         if time.monotonic() < self._again:
             return False
         self._again = time.monotonic() + RETRY_S
-        if not self._has_room(2 if self.problem else 1):
+        if not self.has_room(2 if self.problem else 1):
             return False
         try:
             self._open(t_ns)

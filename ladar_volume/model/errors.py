@@ -112,12 +112,6 @@ class OutputError(LadarVolumeError):
     reason = "output"
 
 
-class TrajectoryError(LadarVolumeError):
-    """A pose was asked for where the trajectory has none."""
-
-    reason = "trajectory"
-
-
 class FilterError(LadarVolumeError):
     """The robust moving least squares filter cannot run on this input."""
 

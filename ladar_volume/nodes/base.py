@@ -94,7 +94,7 @@ class StageNode(LifecycleNode, ABC):
         self._defects = Defects()
         self.health = Health()
         self._shares = LossShares()
-        self._queue = WorkQueue()
+        self.queue = WorkQueue()
         self._worker: threading.Thread | None = None
         self._group = MutuallyExclusiveCallbackGroup()
         self._active = False
@@ -320,7 +320,7 @@ class StageNode(LifecycleNode, ABC):
             return
         if self.context.ok():
             self.cut_off |= any(self.count_publishers(topic) > 0 for topic, _ in self.upstream)
-        self._queue.put(None)
+        self.queue.put(None)
         self._worker.join(timeout=STOP_S)
         if self._worker.is_alive():
             self.get_logger().error(f"work in the queue was not finished within {STOP_S:g} s")
@@ -355,7 +355,7 @@ class StageNode(LifecycleNode, ABC):
         """
         self.health.record_arrival(kind, time.monotonic(), _stamp(item))
         try:
-            self._queue.put_nowait((kind, item))
+            self.queue.put_nowait((kind, item))
         except queue.Full:
             self.losses.add(f"message_queue_full_{kind}")
             return False
@@ -442,7 +442,7 @@ class StageNode(LifecycleNode, ABC):
                 memory.release_memory()
                 given_back = time.monotonic()
             try:
-                item = self._queue.get(timeout=0.05)
+                item = self.queue.get(timeout=0.05)
             except queue.Empty:
                 self._busy, began = True, time.monotonic()
                 self._run_guarded(self.idle)
@@ -489,8 +489,8 @@ class StageNode(LifecycleNode, ABC):
         own lines.
         """
         values: dict[str, Any] = {
-            "queue": self._queue.qsize() + int(self._busy),
-            "queue_bytes": self._queue.bytes,
+            "queue": self.queue.qsize() + int(self._busy),
+            "queue_bytes": self.queue.bytes,
         }
         now, clock = time.monotonic(), self.get_clock().now()
         values |= self.health.lines(now, int(clock.nanoseconds)) | {

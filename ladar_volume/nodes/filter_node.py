@@ -161,7 +161,7 @@ class FilterNode(StageNode):
         now, period = time.monotonic(), self.parameters.node.update_period_s
         waited, late, just_came, self._just_came = (
             now - self._updated,
-            not self._queue.empty(),
+            not self.queue.empty(),
             self._just_came,
             False,
         )

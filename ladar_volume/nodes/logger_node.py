@@ -239,7 +239,7 @@ class LoggerNode(StageNode):
                 account.middleware = max(known.events, known.gaps)
         known.sequence = sequence
         if (
-            self._queue.full()
+            self.queue.full()
             or self._offered - self._taken + len(data) > self.parameters.logger.queue_bytes
         ):
             account.queue += 1

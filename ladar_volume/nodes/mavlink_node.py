@@ -155,7 +155,7 @@ class MavlinkNode(StageNode):
             )
             if self._ended.wait(max(wait, 0.0)):
                 return
-            while self._queue.qsize() > AHEAD and not self._ended.is_set():
+            while self.queue.qsize() > AHEAD and not self._ended.is_set():
                 time.sleep(0.002)
             self.offer("record", record)
         self._playback = "done"

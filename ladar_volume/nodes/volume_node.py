@@ -270,7 +270,7 @@ class VolumeNode(StageNode):
         if not self._joined and self._filter_reset.service_is_ready():
             self._join()
         waited = time.monotonic() - self._estimate_began
-        if self._due and (self._queue.empty() or waited > 2.0 * self._last_estimate_s):
+        if self._due and (self.queue.empty() or waited > 2.0 * self._last_estimate_s):
             with self._lock:
                 self._compute()
 

@@ -186,6 +186,11 @@ class WaitingPoints:
     def __len__(self) -> int:
         return int(self._count.sum())
 
+    @property
+    def capacity(self) -> int:
+        """Points that there is room for."""
+        return len(self._after)
+
     def age_s(self, newest_ns: int) -> float:
         """How long the oldest point has waited, by the time of the data (s)."""
         return (newest_ns - min(int(self._oldest.min()), newest_ns)) * 1e-9

@@ -50,7 +50,7 @@ class SurfaceFilter:
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
         self._beams = parameters.georeference.beams
         self._empty()
-        self._fits = FitStore(FEW_POINTS, self.parameters.cap_per_voxel)
+        self.fits = FitStore(FEW_POINTS, self.parameters.cap_per_voxel)
         self._states: PlatformStates | None = None
         self._waiting: list[MappedPoints] = []
         self._losses = Losses()
@@ -63,8 +63,8 @@ class SurfaceFilter:
         self._refitted = 0
 
     def _empty(self) -> None:
-        self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
-        self._builder = PatchBuilder(self.parameters, self._store, self._mount, self._beams)
+        self.store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
+        self.builder = PatchBuilder(self.parameters, self.store, self._mount, self._beams)
 
     @property
     def newest_ns(self) -> int:
@@ -75,9 +75,9 @@ class SurfaceFilter:
         """The points held, which are then no longer here, for a filter elsewhere
         (``tile_filter``). Not for a filter that has been asked for an update.
         """
-        points, offered = self._store.points(), self._store.offered
+        points, offered = self.store.points(), self.store.offered
         self._empty()
-        self._store.offered = offered
+        self.store.offered = offered
         return points
 
     @property
@@ -94,10 +94,10 @@ class SurfaceFilter:
         and waiting for a pose.
         """
         return {
-            "voxels": self._store.used,
-            "points_offered": self._store.offered,
-            "points_kept": self._store.kept_count,
-            "points_over_cap": self._store.offered - self._store.kept_count - len(self._deferred),
+            "voxels": self.store.used,
+            "points_offered": self.store.offered,
+            "points_kept": self.store.kept_count,
+            "points_over_cap": self.store.offered - self.store.kept_count - len(self._deferred),
             "patches": int(self._published.sum()),
             "points_deferred": len(self._deferred),
             "points_waiting": sum(len(p) for p in self._waiting),
@@ -165,7 +165,7 @@ class SurfaceFilter:
         if len(points) == 0:
             return
         self._t_ns = max(self._t_ns, int(points.t_ns.max()))
-        candidates, rows = self._store.offer(points.t_ns, points.ring, points.r_map, points.C_ind)
+        candidates, rows = self.store.offer(points.t_ns, points.ring, points.r_map, points.C_ind)
         seen = np.empty((len(rows), NUMBERS))
         moving = point_admission.StateArrays(
             states.p_map_body, states.q_map_body, states.v_body, states.omega_body
@@ -175,7 +175,7 @@ class SurfaceFilter:
         if self._deferring:
             self._deferred.add(candidates)
         else:
-            self._store.insert(candidates)
+            self.store.insert(candidates)
 
     def update(self, most: int | None = None) -> FilterUpdate | None:
         """What changed since the last update, or None.
@@ -185,7 +185,7 @@ class SurfaceFilter:
         far. Without it nothing waits: the surface is that of all points.
         """
         if self._deferring:
-            self._store.insert(self._deferred.take(self._store, most, self._t_ns))
+            self.store.insert(self._deferred.take(self.store, most, self._t_ns))
         return self._update()
 
     def finish(self) -> FilterUpdate | None:
@@ -201,28 +201,28 @@ class SurfaceFilter:
         self._waiting = []
 
     def _update(self) -> FilterUpdate | None:
-        s = self._store
+        s = self.store
         changed = s.changed_voxels()
         if len(changed) == 0:
             return None
-        touched = self._dependent_voxels(changed)
+        touched = self.dependent_voxels(changed)
         self._refitted = len(touched)
         new = self._refit(touched)
         s.settle()
-        good = self._fits.fits.status[new] == OK
+        good = self.fits.fits.status[new] == OK
         rows, gone = new[good], new[~good]
         removed = s.keys[gone[self._published[gone]]]
         self._published[gone], self._published[rows] = False, True
-        patches = self._builder.patches(self._fits, rows)
+        patches = self.builder.patches(self.fits, rows)
         return FilterUpdate(
-            self._t_ns, np.sort(removed), self._builder.points(self._fits, rows, patches), patches
+            self._t_ns, np.sort(removed), self.builder.points(self.fits, rows, patches), patches
         )
 
     def _refit(self, voxels: I64) -> I64:
         """Fit these voxels, in order of their keys; returns those whose patch is another one now,
         in that order.
         """
-        s, new = self._store, np.zeros(len(voxels), np.bool_)
+        s, new = self.store, np.zeros(len(voxels), np.bool_)
         grow = s.used - len(self._published)
         for name in ("_published", "_outliers", "_unfitted"):
             setattr(
@@ -230,19 +230,19 @@ class SurfaceFilter:
                 name,
                 np.concatenate([getattr(self, name), np.zeros(grow, getattr(self, name).dtype)]),
             )
-        self._fits.grow(s.used)
+        self.fits.grow(s.used)
         for i in range(0, len(voxels), BLOCK):
             block = voxels[i : i + BLOCK]
-            found = self._builder.fit(block)
-            new[i : i + BLOCK], own = self._fits.keep(found, s.fresh)
+            found = self.builder.fit(block)
+            new[i : i + BLOCK], own = self.fits.keep(found, s.fresh)
             held, failed = s.count[block].astype(np.int64), found.status != OK
             self._unfitted[block] = np.where(failed, held, 0)
             self._outliers[block] = np.where(failed, 0, held - own)
         return voxels[new]
 
-    def _dependent_voxels(self, voxels: I64) -> I64:
+    def dependent_voxels(self, voxels: I64) -> I64:
         """Indices of all voxels whose patch looks at one of these, in order of their keys."""
-        s = self._store
+        s = self.store
         near = np.zeros(s.used, np.bool_)
         refit_kernels.mark_around(voxels, s.keys, s.table, REACH, near)
         chosen = np.flatnonzero(near)

@@ -33,7 +33,7 @@ class NavigationBins:
         self.index: I64 = np.zeros(0, np.int64)
         self.count: I64 = np.zeros(0, np.int64)
         self._sum: F64 = np.zeros((0, 6, 6))
-        self._pose: F64 = np.zeros((0, 4, 3))
+        self.pose_sums: F64 = np.zeros((0, 4, 3))
         self._roots: F64 = np.zeros((0, 2, 3, 3))
         self._rooted: Bool = np.zeros(0, np.bool_)
 
@@ -48,10 +48,10 @@ class NavigationBins:
                 np.zeros((len(index), 4, 3)),
                 np.zeros(len(index), np.int64),
             )
-            total[old], pose[old], count[old] = self._sum, self._pose, self.count
+            total[old], pose[old], count[old] = self._sum, self.pose_sums, self.count
             roots, rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
             roots[old], rooted[old] = self._roots, self._rooted
-            self.index, self._sum, self._pose, self.count, self._roots, self._rooted = (
+            self.index, self._sum, self.pose_sums, self.count, self._roots, self._rooted = (
                 index,
                 total,
                 pose,
@@ -63,7 +63,7 @@ class NavigationBins:
         pose = np.concatenate(
             [states.p_map_body[:, None], matrix_from_quaternion(states.q_map_body)], axis=1
         )
-        np.add.at(self._pose, row, pose)
+        np.add.at(self.pose_sums, row, pose)
         np.add.at(
             self._sum, row, states.C_nav
         )  # one by one, in order: the same bits for any batching
@@ -74,7 +74,7 @@ class NavigationBins:
         """Bins (k,), number of states (k,), sums of their C_nav (k, 6, 6) and of position and
         R_map_body (k, 4, 3).
         """
-        return self.index, self.count, self._sum, self._pose
+        return self.index, self.count, self._sum, self.pose_sums
 
     @classmethod
     def from_sums(
@@ -82,7 +82,7 @@ class NavigationBins:
     ) -> NavigationBins:
         """The inverse of :meth:`sums`."""
         out = cls(bin_s)
-        out.index, out.count, out._sum, out._pose = index, count, C_nav, pose
+        out.index, out.count, out._sum, out.pose_sums = index, count, C_nav, pose
         out._roots, out._rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
         return out
 
@@ -112,7 +112,7 @@ class NavigationBins:
         platform turned, of bins (k,). Raises as :meth:`mean`.
         """
         row = self._rows(bins)
-        mean = self._pose[row] / np.maximum(self.count[row], 1)[:, None, None]
+        mean = self.pose_sums[row] / np.maximum(self.count[row], 1)[:, None, None]
         return np.ascontiguousarray(mean[:, 0]), np.ascontiguousarray(
             mean[:, 1:]
         )  # of one bin as of many, for kernels compiled once

@@ -74,7 +74,7 @@ class VolumeEstimator:
         self._navigation = (
             NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
         )
-        self._store = PatchStore()
+        self.store = PatchStore()
         self._surface_now: RepresentedSurface | None = None
         self._sources_now: Sources | None = None
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
@@ -96,9 +96,9 @@ class VolumeEstimator:
         self._surface_now = self._sources_now = self._main = (
             None  # the surface before would be held beside the new one
         )
-        self._store.replace(update)
-        self.losses.merge(self._store.losses)
-        self._store.losses = Losses()
+        self.store.replace(update)
+        self.losses.merge(self.store.losses)
+        self.store.losses = Losses()
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self, naive: bool = True) -> Estimate:
@@ -143,7 +143,7 @@ class VolumeEstimator:
         :class:`SurfaceError` where there is no surface.
         """
         points, patches = self._current()
-        return Epoch(self._surface(points), self._sources(points, patches), self._t_ns)
+        return Epoch(self.surface(points), self._sources(points, patches), self._t_ns)
 
     @property
     def parts(self) -> tuple[F64, ...]:
@@ -184,7 +184,7 @@ class VolumeEstimator:
         return VolumeEstimator(self.parameters, copy.deepcopy(self._navigation))
 
     def _current(self) -> tuple[FilteredPoints, Patches]:
-        points, patches = self._store.points, self._store.patches
+        points, patches = self.store.points, self.store.patches
         if points is None or patches is None or len(points) < 3:
             raise SurfaceError(
                 "no surface yet: fewer than three filtered points",
@@ -193,7 +193,7 @@ class VolumeEstimator:
             )
         return points, patches
 
-    def _surface(self, points: FilteredPoints) -> RepresentedSurface:
+    def surface(self, points: FilteredPoints) -> RepresentedSurface:
         if self._surface_now is None:
             options = surface_options(self.parameters.volume)
             self._surface_now = represent(points.r_map, options, measured=False)
@@ -206,7 +206,7 @@ class VolumeEstimator:
 
     def _survey(self) -> SurveyedSurface:
         points, patches = self._current()
-        surface = self._surface(points)
+        surface = self.surface(points)
         return surveyed_surface(surface, points, patches, self._sources(points, patches))
 
     def _grounds(

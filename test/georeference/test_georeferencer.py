@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ladar_volume.georeference import point_jacobian, trajectory
+from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.knot_table import Knots
@@ -283,8 +284,9 @@ def test_every_mapped_point_has_its_platform_states():
     }
     np.testing.assert_allclose(distance, [by_time[int(t)] for t in everything.t_ns], atol=1e-4)
     # and the kernel's C_ind is the one of the numpy Jacobian
-    stage = Georeferencer(parameters)
-    C = point_jacobian.pack(point_jacobian.independent_covariance(geometry, stage._sigmas))
+    C = point_jacobian.pack(
+        point_jacobian.independent_covariance(geometry, independent_sigmas(parameters.budget))
+    )
     scale = np.abs(C).max(axis=1, keepdims=True)
     assert np.abs((everything.C_ind - C) / scale).max() < 1e-4
     assert set(np.unique(states.segment)) == {0, 1}
@@ -667,7 +669,7 @@ def test_memory_limit_changes_nothing_for_clouds_in_time(monkeypatch, name, valu
     _, points, states = _run(parameters, events)
     monkeypatch.setattr(f"ladar_volume.georeference.trajectory.{name}", value)
     stage, few, few_states = _run(parameters, events)
-    assert len(stage._trajectory._attitude) < len(imus)
+    assert len(stage.trajectory.attitude) < len(imus)
     _assert_same(few, points)
     _assert_same([few_states], [states])
 

@@ -18,10 +18,10 @@ from pymavlink.dialects.v20 import all as dialect
 from ladar_volume.io.mavlink.mavlink_dataflash import DataFlashLog
 from ladar_volume.io.mavlink.mavlink_heights import geoid_undulation
 from ladar_volume.io.mavlink.mavlink_links import (
+    Peers,
     SerialLink,
     TcpLink,
     UdpLink,
-    _Peers,
     open_link,
 )
 from ladar_volume.io.mavlink.mavlink_log import MavlinkLog, log_file
@@ -469,7 +469,7 @@ def test_bytes_in_any_portions_give_the_same_packets_and_the_buffer_stays_small(
         n = r.randrange(1, 40)
         session.feed(data[at : at + n], START)
         at += n
-        assert len(session.stream._in.buf) < 600
+        assert len(session.stream.incoming.buf) < 600
     assert session.stream.packets == 300
 
 
@@ -492,9 +492,9 @@ class Booked(MavlinkStream):
 
     taken = 0
 
-    def _is_noise(self, message):
+    def is_noise(self, message):
         unknown = self.losses["mavlink_unknown_message"]
-        noise = super()._is_noise(message)
+        noise = super().is_noise(message)
         if not noise or self.losses["mavlink_unknown_message"] > unknown:
             self.taken += len(message.get_msgbuf())
         return noise
@@ -511,7 +511,10 @@ def test_of_five_thousand_mutated_packets_every_byte_is_part_of_a_message_or_noi
         data = data[: r.randrange(len(data) + 1)] if r.random() < 0.2 else data
         stream.feed(bytes(data))
         fed_bytes += len(data)
-        assert stream.taken + stream.losses["mavlink_noise_byte"] + len(stream._in.buf) == fed_bytes
+        assert (
+            stream.taken + stream.losses["mavlink_noise_byte"] + len(stream.incoming.buf)
+            == fed_bytes
+        )
     assert (
         stream.packets > 200
         and stream.losses["mavlink_noise_byte"] > 1000
@@ -889,7 +892,7 @@ def test_udp_listens_to_one_peer_at_a_time():
 
 def test_a_stranger_takes_no_silent_peers_place():
     lost = Losses()
-    peers, first, again, stranger = _Peers(lost), ("10.0.0.5", 1), ("10.0.0.5", 2), ("10.0.0.9", 1)
+    peers, first, again, stranger = Peers(lost), ("10.0.0.5", 1), ("10.0.0.5", 2), ("10.0.0.9", 1)
     assert peers.admits(first, 0.0)
     assert not peers.admits(again, 1.0) and not peers.admits(stranger, 1.0)
     assert not peers.admits(stranger, 60.0)  # however long it waits
@@ -898,7 +901,7 @@ def test_a_stranger_takes_no_silent_peers_place():
     assert not peers.admits(again, 60.2)
     assert lost.as_dict() == {"mavlink_other_peer": 4, "mavlink_peer_changed": 2}
     server = TcpLink(("127.0.0.1", 0), True)
-    server._host = "10.0.0.5"
+    server.host = "10.0.0.5"
     client = socket.create_connection(server.address)
     assert server.read(1.0) == b"" and server.losses["mavlink_other_peer"] == 1
     assert client.recv(10) == b""  # closed
@@ -924,7 +927,7 @@ def test_tcp_both_ways_and_again_after_a_break():
     server = TcpLink(("127.0.0.1", 0), True)
     client = TcpLink(server.address, False)
     for _ in range(2):
-        client._next = 0.0
+        client.next_attempt = 0.0
         for _ in range(20):
             client.read(0.01), server.read(0.01)
             client.write(b"ping")
@@ -933,7 +936,7 @@ def test_tcp_both_ways_and_again_after_a_break():
         assert data.startswith(b"ping")
         server.write(b"pong")
         assert client.read(1.0) == b"pong"
-        server._drop()
+        server.drop()
         assert client.read(1.0) == b""
     assert client.losses["mavlink_link_lost"] == 2
     server.close()

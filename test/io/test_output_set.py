@@ -45,7 +45,7 @@ def out(request, tmp_path, monkeypatch):
         def refused(one, other):
             raise OSError(95, "not supported")
 
-        monkeypatch.setattr(sets, "_exchange", refused)
+        monkeypatch.setattr(sets, "exchange", refused)
     return folder
 
 
@@ -199,7 +199,7 @@ def test_a_new_folder_is_whole_or_not_there(tmp_path):
 
 
 def test_what_another_writes_meanwhile_is_kept(tmp_path, monkeypatch):
-    folder, exchange = tmp_path / "out", sets._exchange
+    folder, exchange = tmp_path / "out", sets.exchange
     folder.mkdir()
     fill(folder, "old")
 
@@ -207,7 +207,7 @@ def test_what_another_writes_meanwhile_is_kept(tmp_path, monkeypatch):
         (folder / "log.mcap").write_text("late")
         exchange(one, other)
 
-    monkeypatch.setattr(sets, "_exchange", late)
+    monkeypatch.setattr(sets, "exchange", late)
     with output_set(folder, NAMES) as part:
         fill(part, "new")
     assert contents(folder) == dict.fromkeys(NAMES, "new") | {"log.mcap": "late"}

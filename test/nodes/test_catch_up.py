@@ -59,7 +59,7 @@ def asked():
 
 until(lambda: player.ready() and compute.service_is_ready() and volume._joined, "the nodes")
 # what arrives is held until the call stands: at it all points are on their way
-put, held, lock = mapped._queue.put_nowait, [], threading.Lock()
+put, held, lock = mapped.queue.put_nowait, [], threading.Lock()
 
 
 def hold(item):
@@ -75,7 +75,7 @@ def release():
         held = None
 
 
-mapped._queue.put_nowait = hold
+mapped.queue.put_nowait = hold
 player.run()
 threading.Timer(1.0, release).start()
 late = filter_node.count_publishers("points_mapped") and filter_node.counts["points"]
@@ -86,7 +86,7 @@ time.sleep(1.0)
 until(lambda: not filter_node._fresh, "the surface")
 second = asked()
 catch_up.CATCH_UP_S = 1.0
-mapped._queue.put_nowait = lambda item: None
+mapped.queue.put_nowait = lambda item: None
 third = asked()
 print(
     json.dumps(
@@ -99,7 +99,7 @@ print(
         }
     )
 )
-del mapped._queue.put_nowait
+del mapped.queue.put_nowait
 for s in spinners:
     s.close()
 rclpy.try_shutdown()

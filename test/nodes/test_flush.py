@@ -149,9 +149,9 @@ def answer():
     return [future.result().success, future.result().message]
 
 
-node._queue.put_nowait = full
+node.queue.put_nowait = full
 refused = [*answer(), node.all_losses().as_dict().get("message_queue_full_flush")]
-del node._queue.put_nowait
+del node.queue.put_nowait
 afterwards = answer()
 for s in spinners:
     s.close()

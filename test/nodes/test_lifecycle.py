@@ -95,10 +95,10 @@ def fly():
         time.sleep(0.005)
     until(
         lambda: (
-            geo._queue.empty()
-            and filter_._queue.empty()
+            geo.queue.empty()
+            and filter_.queue.empty()
             and not filter_._fresh
-            and volume._queue.empty()
+            and volume.queue.empty()
             and not volume._due
         )
     )

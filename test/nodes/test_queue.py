@@ -16,25 +16,25 @@ def cloud(size):
 
 def test_clouds_beyond_so_many_bytes_are_lost_by_name(monkeypatch):
     monkeypatch.setattr(work_queue, "QUEUE", 4)
-    node = SimpleNamespace(health=Health(), losses=Losses(), _queue=WorkQueue())
+    node = SimpleNamespace(health=Health(), losses=Losses(), queue=WorkQueue())
     most = cloud(QUEUE_BYTES)
     assert StageNode.offer(node, "points", cloud(2)) and not StageNode.offer(node, "points", most)
     assert StageNode.offer(node, "flush", None)  # what is no cloud has no size
-    assert node.losses.as_dict() == {"message_queue_full_points": 1} and node._queue.bytes == 2
-    assert node._queue.get_nowait()[0] == "points" and node._queue.bytes == 0
+    assert node.losses.as_dict() == {"message_queue_full_points": 1} and node.queue.bytes == 2
+    assert node.queue.get_nowait()[0] == "points" and node.queue.bytes == 0
     assert StageNode.offer(node, "points", most)  # alone, any cloud goes
     assert not StageNode.offer(node, "points", cloud(1)) and StageNode.offer(
         node, "platform", SimpleNamespace(data=1.0)
     )
-    node._queue.put(None)
+    node.queue.put(None)
     assert not StageNode.offer(node, "platform", None)  # the fifth of four
     assert node.losses.as_dict() == {
         "message_queue_full_points": 2,
         "message_queue_full_platform": 1,
     }
-    assert [node._queue.get_nowait() is None for _ in range(4)] == [
+    assert [node.queue.get_nowait() is None for _ in range(4)] == [
         False,
         False,
         False,
         True,
-    ] and node._queue.bytes == 0
+    ] and node.queue.bytes == 0

@@ -127,11 +127,11 @@ def test_a_hurried_surface_is_that_of_the_points_taken_in(scene):
         put_off.append(f.stats["points_deferred"])
         held = np.concatenate(
             [
-                np.arange(v * f._store.cap, v * f._store.cap + n)
-                for v, n in enumerate(f._store.count[: f._store.used])
+                np.arange(v * f.store.cap, v * f.store.cap + n)
+                for v, n in enumerate(f.store.count[: f.store.used])
             ]
         )
-        there = {(int(t), *r) for t, r in zip(f._store.t_ns[held], f._store.r[held], strict=True)}
+        there = {(int(t), *r) for t, r in zip(f.store.t_ns[held], f.store.r[held], strict=True)}
         taken = [j for j in range(part[-1] + 1) if (int(points.t_ns[j]), *points.r_map[j]) in there]
         alone = SurfaceFilter(PARAMETERS)
         alone.add_platform(scene.platform())
@@ -199,7 +199,7 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
     )
     assert np.array_equal(np.sort(np.concatenate(hashes)), np.sort(full.hashes[slots]))
     assert len(waiting.take(store, None, newest)) == 0
-    assert len(waiting._after) <= 500  # the room of those that waited is given back
+    assert waiting.capacity <= 500  # the room of those that waited is given back
     waiting.add(select(offered, np.arange(20)))
     assert len(waiting.take(store, None, newest)) == len(waiting.take(store, None, newest)) + 20
 
@@ -216,7 +216,7 @@ def test_room_is_given_back_while_some_still_wait(scene, monkeypatch):
             took = waiting.take(store, 1, newest)
             store.insert(took)
             turns.append((sorted(took.hash.tolist()), waiting.age_s(newest)))
-            sizes.append(len(waiting._after))
+            sizes.append(waiting.capacity)
             assert sizes[-1] <= max(room, 4 * len(waiting)) or len(waiting) == 0
         found.append((turns, sizes))
     assert found[0][0] == found[1][0] and len(set(found[0][1])) > 3 and len(set(found[1][1])) == 1

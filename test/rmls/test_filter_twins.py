@@ -42,9 +42,9 @@ def fitted(scene, request):
     f.add_platform(states)
     f.add(points)
     update = f.finish()
-    fits = f._builder.fit(f._dependent_voxels(np.arange(f._store.used)))
+    fits = f.builder.fit(f.dependent_voxels(np.arange(f.store.used)))
     slots = {
-        int(f._store.keys[v]): np.sort(fits.members[fits.start[a] : fits.start[a] + fits.used[a]])
+        int(f.store.keys[v]): np.sort(fits.members[fits.start[a] : fits.start[a] + fits.used[a]])
         for a, v in enumerate(fits.voxels)
         if fits.status[a] == OK
     }
@@ -54,7 +54,7 @@ def fitted(scene, request):
 def rows(f, update, slots, j, degree):
     p = update.patches
     return patch_twin.design(
-        f._store.r[slots[int(p.key[j])]], p.centre[j], p.normal[j], p.tangent[j], degree
+        f.store.r[slots[int(p.key[j])]], p.centre[j], p.normal[j], p.tangent[j], degree
     )
 
 
@@ -86,10 +86,10 @@ def test_refit_is_least_squares_on_the_inliers(fitted):
 
 def test_points_left_out_are_beyond_threshold_or_ball(fitted):
     f, update, slots, _, degree = fitted
-    p, held = update.patches, np.flatnonzero(f._store.t_ns > 0)
+    p, held = update.patches, np.flatnonzero(f.store.t_ns > 0)
     for j in range(len(p)):
         out = np.setdiff1d(held, slots[int(p.key[j])])
-        X, w = patch_twin.design(f._store.r[out], p.centre[j], p.normal[j], p.tangent[j], degree)
+        X, w = patch_twin.design(f.store.r[out], p.centre[j], p.normal[j], p.tangent[j], degree)
         extra, gu, gv = patch_twin.arc(X, p.beta[j])
         d, slope = w - extra - X @ p.beta[j], 1 + gu**2 + gv**2
         threshold = 3.5 * p.sigma[j]
@@ -123,7 +123,7 @@ def test_cross_blocks_of_every_pair_that_shares_points(fitted):
             b = at[key]
             X_b, _ = rows(f, update, slots, b, degree)
             C = patch_twin.shared_covariance(
-                X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f._store.C
+                X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f.store.C
             )
             scale = np.sqrt(
                 np.outer(np.diag(p.cross[p.cross_start[a]]), np.diag(p.cross[p.cross_start[b]]))
@@ -135,7 +135,7 @@ def test_cross_blocks_of_every_pair_that_shares_points(fitted):
 
 def test_sensitivities_are_those_of_the_lidar_equation(fitted):
     f, update, slots, states, degree = fitted
-    p, s = update.patches, f._store
+    p, s = update.patches, f.store
     for j in range(0, len(p), 3):
         inliers = slots[int(p.key[j])]
         points = MappedPoints(
@@ -162,7 +162,7 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
             points,
             states,
             calibration,
-            f._builder.beams,
+            f.builder.beams,
             2_000_000_000,
         )
         nav = slice(p.nav_start[j], p.nav_start[j + 1])

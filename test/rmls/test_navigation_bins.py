@@ -25,10 +25,10 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
     f.add_platform(states)
     f.add(points)
     all_bins = f.finish().patches
-    s = f._store
+    s = f.store
     rows = np.array([int(np.flatnonzero(s.keys[: s.used] == key)[0]) for key in all_bins.key])
-    f._builder.most_bins = most
-    few, fits = f._builder.patches(f._fits, rows), f._fits.with_inliers(rows, s)
+    f.builder.most_bins = most
+    few, fits = f.builder.patches(f.fits, rows), f.fits.with_inliers(rows, s)
     assert (np.diff(few.nav_start) == most).all() and np.diff(all_bins.nav_start).min() > 3 * most
     assert (
         few.M_cal.tobytes() == all_bins.M_cal.tobytes()

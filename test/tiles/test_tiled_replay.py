@@ -89,14 +89,14 @@ def test_another_base_is_computed_from_the_same_tiles(tmp_path):
 
 def test_poses_out_of_order_are_georeferenced_in_one_piece(tmp_path, monkeypatch):
     """A clock that was set back says for longer than a piece what the poses after it are worth."""
-    recorded = Replay._recorded_messages
+    recorded = Replay.recorded_messages
 
     def disordered(self, *spans):
         for t_ns, role, record in recorded(self, *spans):
             late = role == "imu" and t_ns > self.bag.start_ns + 2_000_000_000
             yield t_ns, role, replace(record, t_ns=record.t_ns - 1_500_000_000) if late else record
 
-    monkeypatch.setattr(Replay, "_recorded_messages", disordered)
+    monkeypatch.setattr(Replay, "recorded_messages", disordered)
     expected = replayed("leo_cut", duration=SHORT)
     found = replayed("leo_cut", Work(12.0, tmp_path, OwnProcess(), 1.0), SHORT)
     same(found, expected)

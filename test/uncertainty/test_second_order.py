@@ -170,7 +170,7 @@ def test_a_single_patch_turns_about_the_sensor(yaw):
     q[0, 0] = 2.0
     patches = update.patches
     # the platform stands where it saw the patch: only then is the mean position exact
-    known._pose[:, 0] = known.count[:, None] * sensor[0]
+    known.pose_sums[:, 0] = known.count[:, None] * sensor[0]
     H = curvatures(q, patches, known).sum(axis=0)
     R, d = exp_so3(np.array([0.0, 0.0, yaw])), patches.centre[0] - sensor[0]
     for theta in 1e-3 * np.random.default_rng(1).standard_normal((6, 3)):

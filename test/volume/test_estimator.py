@@ -150,13 +150,13 @@ def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
     update = surface_update(sloped, perturb=0.01)
     for degree in (0, 1, 2):
         r = estimator(update, parameters(ground={"degree": degree}))
-        tin = r._surface(r._store.points).tin
+        tin = r.surface(r.store.points).tin
         base, inside = base_and_outline(tin, np.full(len(tin.vertices), 1e-4), r.parameters)
         solid = prismoids(tin, base, inside > 0)
-        G = result_gradients(tin, base, solid, len(r._store.points))[:, 0]
-        alone = result_gradients(tin, base, solid, len(r._store.points), coefficients=False)
+        G = result_gradients(tin, base, solid, len(r.store.points))[:, 0]
+        alone = result_gradients(tin, base, solid, len(r.store.points), coefficients=False)
         assert alone.shape[1] == 1 and np.abs(alone[:, 0] - G).max() <= 1e-12 * np.abs(G).max()
-        position = r._store.points.r_map
+        position = r.store.points.r_map
         yaw = np.c_[-position[:, 1], position[:, 0], np.zeros(len(position))]
         scale = np.abs(G).sum()
         assert np.abs(G.sum(axis=0)).max() < 1e-11 * scale

@@ -39,12 +39,12 @@ def estimator(update, ratio, **sections):
 def test_a_ratio_of_one_is_the_full_tin_to_the_last_bit():
     update = surface_update(sloped, perturb=0.01)
     e = estimator(update, 1.0)
-    estimate, points = e.estimate(), e._store.points
+    estimate, points = e.estimate(), e.store.points
     v = e.parameters.volume
     plain = with_relevant(build_tin(points.r_map), v.relevant, v.max_edge_m, v.max_circumdiameter_m)
     for name in ("vertices", "triangles", "neighbours", "relevant", "source"):
         assert getattr(estimate.tin, name).tobytes() == getattr(plain, name).tobytes()
-    surface = e._surface(points)
+    surface = e.surface(points)
     variance = points.variance[plain.source] / np.maximum(
         points.normal[plain.source, 2] ** 2, LEAST_UPWARD**2
     )
@@ -77,11 +77,11 @@ def test_common_shift_and_yaw_cancel_through_the_adjustment():
     update = surface_update(sloped, perturb=0.01)
     for degree in (0, 1, 2):
         e = estimator(update, 1 / 3, ground={"degree": degree})
-        surface = e._surface(e._store.points)
+        surface = e.surface(e.store.points)
         base, inside = base_and_outline(
-            surface.tin, vertex_variance(surface, e._store.points), e.parameters
+            surface.tin, vertex_variance(surface, e.store.points), e.parameters
         )
-        position = e._store.points.r_map
+        position = e.store.points.r_map
         G = result_gradients(
             surface.tin, base, prismoids(surface.tin, base, inside > 0), len(position), surface
         )[:, 0]

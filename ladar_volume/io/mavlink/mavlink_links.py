@@ -51,7 +51,7 @@ class Link(Protocol):
         """Let go."""
 
 
-class _Peers:
+class Peers:
     """Who may speak on a socket that listens."""
 
     def __init__(self, losses: Losses) -> None:
@@ -94,9 +94,9 @@ class UdpLink:
     def __init__(self, address: tuple[str, int], listen: bool) -> None:
         self.losses = Losses()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._peers = _Peers(self.losses) if listen else None
+        self._peers = Peers(self.losses) if listen else None
         self._wanted: tuple[str, int] | None = None
-        self._next = 0.0
+        self.next_attempt = 0.0
         try:
             if listen:
                 self._bind(address)
@@ -122,7 +122,7 @@ class UdpLink:
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise
-            self._wanted, self._next = address, time.monotonic() + RETRY_S
+            self._wanted, self.next_attempt = address, time.monotonic() + RETRY_S
             self.losses.add("mavlink_port_not_open")
 
     @property
@@ -134,8 +134,8 @@ class UdpLink:
     def read(self, timeout_s: float) -> bytes:
         """All datagrams of the peer that wait; those of others are counted and dropped."""
         if self._wanted is not None:
-            time.sleep(min(timeout_s, max(self._next - time.monotonic(), 0.0)))
-            if time.monotonic() >= self._next:
+            time.sleep(min(timeout_s, max(self.next_attempt - time.monotonic(), 0.0)))
+            if time.monotonic() >= self.next_attempt:
                 self._bind(self._wanted)
             return b""
         select.select([self._socket], [], [], timeout_s)
@@ -158,7 +158,7 @@ class UdpLink:
     def forget(self) -> None:
         """The next sender is bound."""
         if self._peers is not None:
-            self._peers = _Peers(self.losses)
+            self._peers = Peers(self.losses)
 
     def close(self) -> None:
         """Close the socket."""
@@ -175,8 +175,8 @@ class TcpLink:
         self._address = address
         self._peer: socket.socket | None = None
         self._server: socket.socket | None = None
-        self._host: str | None = None
-        self._next = 0.0
+        self.host: str | None = None
+        self.next_attempt = 0.0
         if listen:
             try:
                 self._server = socket.create_server(address, backlog=1)
@@ -204,22 +204,22 @@ class TcpLink:
             if self._server is not None:
                 select.select([self._server], [], [], timeout_s)
                 peer, sender = self._server.accept()
-                self._host = self._host or str(sender[0])
-                if self._host != sender[0]:
+                self.host = self.host or str(sender[0])
+                if self.host != sender[0]:
                     self.losses.add("mavlink_other_peer")
                     peer.close()
                     return
                 self._peer = peer
-            elif time.monotonic() >= self._next:
-                self._next = time.monotonic() + RETRY_S
+            elif time.monotonic() >= self.next_attempt:
+                self.next_attempt = time.monotonic() + RETRY_S
                 self._peer = socket.create_connection(self._address, timeout=RETRY_S)
             else:
-                time.sleep(min(timeout_s, max(self._next - time.monotonic(), 0.0)))
+                time.sleep(min(timeout_s, max(self.next_attempt - time.monotonic(), 0.0)))
         if self._peer is not None:
             self._peer.setblocking(False)
             self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-    def _drop(self) -> None:
+    def drop(self) -> None:
         if self._peer is not None:
             self._peer.close()
             self._peer = None
@@ -232,7 +232,7 @@ class TcpLink:
             return b""
         data = _read_available(self._peer.fileno(), timeout_s)
         if data is None:
-            self._drop()
+            self.drop()
         return data or b""
 
     def write(self, data: bytes) -> None:
@@ -243,11 +243,11 @@ class TcpLink:
             except BlockingIOError:
                 return
             except OSError:
-                self._drop()
+                self.drop()
 
     def forget(self) -> None:
         """The next host that connects is bound."""
-        self._host = None
+        self.host = None
 
     def close(self) -> None:
         """Close everything."""
@@ -261,7 +261,7 @@ class SerialLink:
 
     def __init__(self, device: str, baud: int) -> None:
         self.losses = Losses()
-        self._device, self._next = device, 0.0
+        self._device, self.next_attempt = device, 0.0
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
             raise ConfigurationError(
@@ -277,7 +277,7 @@ class SerialLink:
         return self._fd is not None
 
     def _open(self) -> None:
-        self._next = time.monotonic() + RETRY_S
+        self.next_attempt = time.monotonic() + RETRY_S
         fd = None
         try:
             fd = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -293,7 +293,7 @@ class SerialLink:
             return
         self._fd = fd
 
-    def _drop(self) -> None:
+    def drop(self) -> None:
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None
@@ -302,13 +302,13 @@ class SerialLink:
     def read(self, timeout_s: float) -> bytes:
         """What has come."""
         if self._fd is None:
-            time.sleep(min(timeout_s, max(self._next - time.monotonic(), 0.0)))
-            if time.monotonic() >= self._next:
+            time.sleep(min(timeout_s, max(self.next_attempt - time.monotonic(), 0.0)))
+            if time.monotonic() >= self.next_attempt:
                 self._open()
             return b""
         data = _read_available(self._fd, timeout_s)
         if data is None:
-            self._drop()
+            self.drop()
         return data or b""
 
     def write(self, data: bytes) -> None:

@@ -42,8 +42,8 @@ class MavlinkStream:
         self.losses = Losses()
         self.packets = 0
         self._accepts = accepts
-        self._in = dialect.MAVLink(None)
-        self._in.robust_parsing = True
+        self.incoming = dialect.MAVLink(None)
+        self.incoming.robust_parsing = True
         self._sequence: dict[tuple[int, int], int] = {}
         self._collected = bytearray()
         self.out = dialect.MAVLink(self, srcSystem=own_system, srcComponent=own_component)
@@ -52,21 +52,21 @@ class MavlinkStream:
         """From now on sign what goes out, and refuse what comes unsigned or wrongly signed. now :
         in units of signatures.
         """
-        for end in (self._in, self.out):
+        for end in (self.incoming, self.out):
             end.signing.secret_key = key
             end.signing.timestamp = max(end.signing.timestamp, now)
         self.out.signing.sign_outgoing = True
         # pymavlink takes over the time of a packet before it looks at the signature: a forged one
         # would shut out all that follow
-        usual = self._in.check_signature
-        self._in.check_signature = lambda packet, system, component: (
+        usual = self.incoming.check_signature
+        self.incoming.check_signature = lambda packet, system, component: (
             is_signed(bytes(packet), key) and usual(packet, system, component)
         )
 
     @property
     def is_signed(self) -> bool:
         """Whether packets are signed."""
-        return self._in.signing.secret_key is not None
+        return self.incoming.signing.secret_key is not None
 
     def write(self, data: bytes) -> None:
         """Where pymavlink puts packed messages."""
@@ -83,7 +83,7 @@ class MavlinkStream:
 
     def feed(self, data: bytes) -> list[Any]:
         """The messages that became whole, those of other senders included."""
-        parser, found = self._in, []
+        parser, found = self.incoming, []
         parser.buf.extend(data)
         while True:
             try:
@@ -94,7 +94,7 @@ class MavlinkStream:
                 continue
             if message is None:
                 break
-            if self._is_noise(message):
+            if self.is_noise(message):
                 continue
             self.packets += 1
             if self._in_order(message):
@@ -103,7 +103,7 @@ class MavlinkStream:
             parser.buf, parser.buf_index = parser.buf[parser.buf_index :], 0
         return found
 
-    def _is_noise(self, message: Any) -> bool:
+    def is_noise(self, message: Any) -> bool:
         kind = message.get_type()
         if kind == "BAD_DATA":
             data = bytes(message.data)
@@ -128,7 +128,7 @@ class MavlinkStream:
         lost = len(data)
         if data[:1] and data[0] in MARKERS and lost > 1:
             # only the marker is known to be wrong: a good packet may begin inside
-            parser = self._in
+            parser = self.incoming
             parser.buf, parser.buf_index = bytearray(data[1:]) + parser.buf[parser.buf_index :], 0
             lost = 1
         self.losses.add("mavlink_noise_byte", lost)
