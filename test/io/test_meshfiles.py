@@ -4,30 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from closed_meshes import CUBE_T, CUBE_V
 
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.io.meshfiles.polygons import triangulate_faces
 from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.errors import InputError, OutputError
 
-V = np.array([[x, y, z] for z in (0.0, 1) for y in (0.0, 1) for x in (0.0, 1)])
-T = np.array(
-    [
-        [0, 2, 1],
-        [1, 2, 3],
-        [4, 5, 6],
-        [5, 7, 6],
-        [0, 1, 4],
-        [1, 5, 4],
-        [2, 6, 3],
-        [3, 6, 7],
-        [0, 4, 2],
-        [2, 4, 6],
-        [1, 3, 5],
-        [3, 7, 5],
-    ],
-    np.int32,
-)
+V, T = CUBE_V, CUBE_T.astype(np.int32)
 QUADS = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter
+from ladar_volume.cli.arguments.replay import add_overrides
 from ladar_volume.cli.arguments.work import work
 
 
@@ -42,20 +43,7 @@ def add_parser(modes: Verbs) -> None:
 def _add_recording(parser: argparse.ArgumentParser) -> None:
     """The recording, and what of it is used."""
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="override one parameter",
-    )
-    parser.add_argument(
-        "--topic",
-        action="append",
-        default=[],
-        metavar="ROLE=TOPIC",
-        help="cloud, fix, imu or odometry topic",
-    )
+    add_overrides(parser)
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
     parser.add_argument(

@@ -46,13 +46,8 @@ def stations(word: str) -> int:
     return count
 
 
-def add_common(parser: argparse.ArgumentParser) -> None:
-    """Options that replay and the nodes share."""
-    parser.add_argument(
-        "--config",
-        type=Path,
-        help="parameter file; default: config.yaml in the recording's folder, if any",
-    )
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    """Parameters and topics other than those of the configuration."""
     parser.add_argument(
         "--set",
         action="append",
@@ -67,6 +62,16 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         metavar="ROLE=TOPIC",
         help="cloud, fix, imu or odometry topic",
     )
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """Options that replay and the nodes share."""
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="parameter file; default: config.yaml in the recording's folder, if any",
+    )
+    add_overrides(parser)
     parser.add_argument(
         "-o",
         "--output",
