@@ -20,7 +20,8 @@ from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
-from ladar_volume.volume.field_checks.completeness import HIDDEN, cut_at_boundary, wall_doubts
+from ladar_volume.volume.field_checks.completeness import wall_doubts
+from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 
 #: Cells in which differences are averaged, about so many; fewest; least part of a cell that counts.

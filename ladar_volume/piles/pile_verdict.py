@@ -36,7 +36,8 @@ from ladar_volume.piles.pile_site import (
 )
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.uncertainty.ground_field import Roughness
-from ladar_volume.volume.field_checks.completeness import cut_doubts, wall_doubts
+from ladar_volume.volume.field_checks.completeness import wall_doubts
+from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
 from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
 
 #: Share of an outline without surface of which there is a word.

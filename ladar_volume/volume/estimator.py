@@ -126,7 +126,7 @@ class VolumeEstimator:
         )
         passes = passes_of(survey, footing, self.parameters)
         volumes = tuple(
-            assess_field(survey, footing, body.part, volume, passes, self.parameters, own)
+            assess_field(survey, footing, body, volume, passes, self.parameters, own)
             for body, volume, own in zip(
                 bodies, volumes, objects_by_body(objects, volumes), strict=True
             )

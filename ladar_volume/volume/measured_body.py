@@ -20,6 +20,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, FilteredPoints, Patches, Plane, Tin, Volume
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.tin.represent import RepresentedSurface
+from ladar_volume.uncertainty.ground_field import Roughness
 from ladar_volume.uncertainty.volume_budget import Budget, Sources
 from ladar_volume.volume.base import area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.centroid import centroid
@@ -73,14 +74,16 @@ class Footing:
 
 @dataclass(frozen=True)
 class MeasuredBody:
-    """One body: area of each triangle that counts (t,) m², prismoids, budget, and what noise does
-    to cut and fill near the base, where that matters.
+    """One body: area of each triangle that counts (t,) m², prismoids, budget, what noise does to
+    cut and fill near the base, where that matters, and the field of the ground about its base, None
+    above a base that is given.
     """
 
     part: F64
     solid: Prismoids
     budget: Budget
     near: Fold | None
+    rough: Roughness | None
 
 
 def surveyed_surface(
@@ -174,8 +177,10 @@ def _near_base(survey: SurveyedSurface, footing: Footing, part: F64) -> Fold | N
     )
 
 
-def _roughness_m6(survey: SurveyedSurface, footing: Footing, part: F64, solid: Prismoids) -> float:
-    """Variance from the ground between its points."""
+def _roughness(
+    survey: SurveyedSurface, footing: Footing, part: F64, solid: Prismoids
+) -> tuple[float, Roughness | None]:
+    """Variance m⁶ from the ground between its points, and its field."""
     field = ground_field(
         survey.tin,
         footing.base,
@@ -185,7 +190,7 @@ def _roughness_m6(survey: SurveyedSurface, footing: Footing, part: F64, solid: P
         survey.sources,
         footing.inverse,
     )
-    return 0.0 if field is None else field.variance_m6
+    return (0.0, None) if field is None else (field.variance_m6, field.rough)
 
 
 def _measure_budget(
@@ -205,10 +210,11 @@ def _measure_budget(
         )
 
     held = gradients() if naive else None
-    base_m6, (sensitivities, fold) = run_concurrently(
-        partial(_roughness_m6, survey, footing, part, solid),
+    (base_m6, rough), (sensitivities, fold) = run_concurrently(
+        partial(_roughness, survey, footing, part, solid),
         lambda: (sources.sensitivities(gradients() if held is None else held), near()),
     )
     # afterwards: it uses and completes what the roughness knows of the patches' errors
     naive_m3 = math.nan if held is None else sources.naive_sigma(held[:, 0])
-    return MeasuredBody(part, solid, sources.budget(sensitivities, base_m6, naive_m3), fold)
+    budget = sources.budget(sensitivities, base_m6, naive_m3)
+    return MeasuredBody(part, solid, budget, fold, rough)

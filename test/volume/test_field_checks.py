@@ -107,6 +107,20 @@ def test_a_body_cut_by_the_data_or_the_region_is_named():
     assert "georeference.region_m" in doubt.text
 
 
+@pytest.mark.parametrize("at", [-0.5, 0.0, 2.0, 3.0])
+def test_what_a_cut_took_is_in_sigma(at):
+    v = estimated(seen=lambda x, y: x < at).volume
+    missing = TRUE_M3 - v.volume_m3
+    assert missing > 0.0 and "cut" in v.budget_m6
+    assert 0.4 * v.sigma_m3 < missing < 2.0 * v.sigma_m3
+
+
+def test_a_whole_pile_has_no_line_for_a_cut_and_an_outline_given_means_what_it_says():
+    assert "cut" not in estimated().volume.budget_m6
+    corner = [-6.0, -6.0, 1.0, -6.0, 1.0, 6.0, -6.0, 6.0]
+    assert "cut" not in estimated(outline="polygon", polygon_m=corner).volume.budget_m6
+
+
 def test_an_outline_through_the_body_is_named():
     corner = [-6.0, -6.0, 1.0, -6.0, 1.0, 6.0, -6.0, 6.0]
     assert "cut" in names(estimated(outline="polygon", polygon_m=corner))

@@ -12,7 +12,7 @@ from ladar_volume.tin.diagonal_exchange import exchange_diagonals
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import barycentric, height_at, locate, triangle_index
 from ladar_volume.tin.relevant import edge_lengths
-from ladar_volume.volume.field_checks.completeness import cut_at_boundary
+from ladar_volume.volume.field_checks.cut_bodies import cut_at_boundary
 from ladar_volume.volume.overlay import between
 
 

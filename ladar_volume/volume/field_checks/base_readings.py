@@ -34,8 +34,9 @@ from ladar_volume.uncertainty.roughness import estimate_roughness
 #: A reading differs beyond chance above so many standard deviations of the difference, and matters
 #: above so many of the volume.
 CHANCE, MATTERS = 3.0, 2.0
-#: Standard deviation of the base where readings differ beyond chance, over what is beyond twice it.
-BETWEEN = 0.5
+#: Standard deviation of the base where readings differ beyond chance: what is beyond so many times
+#: it.
+BEYOND = 1.5
 #: Fewest points of a reading, and most of the toe line.
 FEWEST, MOST = 30, 2000
 #: From where to where the toe line lies beyond the outline, in radii of the filter.
@@ -60,8 +61,8 @@ class Reading:
 
     @property
     def beyond_m3(self) -> float:
-        """What is beyond twice the chance, m³."""
-        return max(0.0, abs(self.more_m3) - 2.0 * self.sigma_m3)
+        """What is beyond chance, m³."""
+        return max(0.0, abs(self.more_m3) - BEYOND * self.sigma_m3)
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class BaseReadings:
     @property
     def variance_m6(self) -> float:
         """Variance of the volume for the choice of the base, m⁶."""
-        return (BETWEEN * max((r.beyond_m3 for r in self.readings), default=0.0)) ** 2
+        return max((r.beyond_m3 for r in self.readings), default=0.0) ** 2
 
 
 def toe_points(tin: Tin, inside: Bool, radius_m: float) -> I64:

@@ -32,12 +32,14 @@ from ladar_volume.volume.field_checks.base_readings import (
     student_factor,
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
+from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import (
     bridged_volume,
     bridging_triangles,
     find_gaps,
     gap_doubts,
 )
+from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import (
     NEGLIGIBLE,
@@ -45,7 +47,12 @@ from ladar_volume.volume.field_checks.steep_faces import (
     steep_faces,
     wall_m6,
 )
-from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
+from ladar_volume.volume.measured_body import (
+    Footing,
+    MeasuredBody,
+    SurveyedSurface,
+    footing_of,
+)
 
 #: Height of what grows, over its scatter.
 COVER = 4.0
@@ -74,14 +81,17 @@ def bridged_footing(
 
 
 def with_line(volume: Volume, name: str, variance_m6: float) -> Volume:
-    """The volume with a line of the budget more."""
+    """The volume with a line of the budget more, or one that is so much larger."""
     if not variance_m6 > 0.0:
         return volume
     low, high = (math.hypot(s, math.sqrt(variance_m6)) for s in volume.sigma_tau_range_m3)
     return dataclasses.replace(
         volume,
         sigma_m3=math.hypot(volume.sigma_m3, math.sqrt(variance_m6)),
-        budget_m6={**volume.budget_m6, name: variance_m6},
+        budget_m6={
+            **volume.budget_m6,
+            name: volume.budget_m6.get(name, 0.0) + variance_m6,
+        },
         sigma_tau_range_m3=(low, high),
     )
 
@@ -111,10 +121,25 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     return with_line(volume, "unseen", found.variance_m6)
 
 
-def with_base(
-    survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, radius_m: float
+def with_null_volumes(
+    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, volume: Volume
 ) -> Volume:
-    """The volume of a body with what other readings of its base say."""
+    """The volume of a body with the line of its base as wide as null volumes around it spread."""
+    own = volume.budget_m6.get("base_surface", 0.0)
+    if body.rough is None or not own > 0.0:
+        return volume
+    found = null_volumes(survey.tin, footing.base, body.part, survey.height_variance, body.rough)
+    doubts = Verdict(tuple(null_volume_doubts(found, volume.area_m2, math.sqrt(own))))
+    volume = dataclasses.replace(volume, verdict=volume.verdict + doubts)
+    return with_line(volume, "base_surface", (found.scale - 1.0) * own)
+
+
+def with_base(
+    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, volume: Volume, radius_m: float
+) -> Volume:
+    """The volume of a body with what null volumes and other readings of its base say."""
+    part = body.part
+    volume = with_null_volumes(survey, footing, body, volume)
     found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
     if not len(footing.base.support):
         doubts = Verdict(tuple(given_base_doubts(survey.tin, footing.base, part, radius_m, volume)))
@@ -281,29 +306,30 @@ def with_objects(volume: Volume, objects: tuple[StandingObject, ...]) -> Volume:
 def assess_field(
     survey: SurveyedSurface,
     footing: Footing,
-    part: F64,
+    body: MeasuredBody,
     volume: Volume,
     passes: PassAgreement,
     parameters: Parameters,
     objects: tuple[StandingObject, ...] = (),
 ) -> Volume:
-    """A body's volume with every line and doubt of the field; part (m,) m² of each triangle ·
-    objects : that were taken out of the surface.
+    """A body's volume with every line and doubt of the field. objects : that were taken out of the
+    surface.
     """
+    part = body.part
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(volume, passes.cover_m)
     volume = with_gaps(survey, footing, part, volume)
-    volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
+    volume = with_base(survey, footing, body, volume, parameters.filter.radius_m)
     tin = survey.tin
-    on_face = steep(survey.points.normal[tin.source])
+    normal = survey.points.normal[tin.source]
+    on_face = steep(normal)
     volume = with_objects(volume, objects)
-    doubts = completeness_doubts(
-        tin,
-        footing.base,
-        footing.inside,
-        on_face,
-        volume.sigma_m3,
-        parameters,
-    )
+    # a cut or a further body may be what makes the readings of the base differ
+    chosen_m6 = volume.budget_m6.get("base_model", 0.0)
+    sigma = math.sqrt(max(volume.sigma_m3**2 - chosen_m6, 0.0))
+    doubts = completeness_doubts(tin, footing.base, footing.inside, on_face, sigma, parameters)
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
+    if any(doubt.name == "cut" for doubt in doubts):
+        missing = cut_m6(tin, footing.base, part, normal, volume.volume_m3, parameters)
+        volume = with_line(volume, "cut", missing)
     return with_faces(tin, part, on_face, volume, parameters.volume.kind)
