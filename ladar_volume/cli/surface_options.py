@@ -257,6 +257,7 @@ def sampled_facts(made: RepresentedSurface) -> dict[str, Any] | None:
         "holes": found.holes,
         "hole_m2": found.hole_m2,
         "parts": found.parts,
+        "beyond": found.beyond,
     }
 
 
@@ -277,6 +278,8 @@ def add_surface_rows(table: Table, each: Mapping[str, Any]) -> None:
             f"spacing {sampled['spacing_m']:.3g} m"
         )
     table.add_row("  sampled", words)
+    if sampled["beyond"]:
+        table.add_row("  beyond", f"{sampled['beyond']:,} points alone outside it, left out")
     if sampled["holes"]:
         table.add_row("  holes", f"{sampled['holes']} bridged, {sampled['hole_m2']:.4g} m²")
     if sampled["parts"] > 1:

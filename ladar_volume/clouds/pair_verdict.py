@@ -14,6 +14,7 @@ from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
+from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.records import F64, Bool, Plane, Tin
@@ -236,5 +237,9 @@ def pair_verdict(
     changed = within & (np.abs(height) > least)
     if changed.any():
         doubts += wall_doubts(tin, ground.level, changed, ground.on_face, least)
+    sampled = [s.representation.sampled_area for s in surfaces]
+    outline = outline_variance(tin, within, tin.vertices[:, 2], sampled)
+    if outline > 0.0:
+        volume = with_lines(volume, {"outline": outline})
     volume, more = with_offset(volume, ground.unchanged)
     return volume, Verdict(tuple(doubts + more))

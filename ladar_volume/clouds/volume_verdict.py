@@ -21,11 +21,12 @@ from ladar_volume.clouds.ground_cover import (
     steep_vertices,
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
+from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
+from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
+from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
@@ -81,17 +82,6 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
         extent = (low[0], low[1], high[0], high[1])
         out.append(Place(x, y, extent, float(area[k]), high[2], low[2]))
     return out
-
-
-def border(tin: Tin, mask: Bool) -> tuple[I32, F64, Bool]:
-    """The sides of triangles (m,) that bound them: their ends (b, 2), their lengths (b,) m, and
-    whether there is no surface beyond.
-    """
-    t, k = boundary_sides(tin, mask)
-    ends = side_ends(tin, t, k)
-    d = tin.vertices[ends[:, 1], :2] - tin.vertices[ends[:, 0], :2]
-    beyond = tin.neighbours[t, k]
-    return ends, np.hypot(d[:, 0], d[:, 1]), (beyond < 0) | ~tin.relevant[beyond]
 
 
 def open_share(surface: CloudSurface, mask: Bool) -> float:
@@ -313,6 +303,9 @@ def volume_with_verdict(
     height = height_above(tin.vertices, base)
     between = between_points(surface, inside, height, ~gap_mask)
     found = with_between(volume, between)
+    outline = outline_variance(tin, inside > 0, height, [surface.representation.sampled_area])
+    if outline > 0.0:
+        found = with_lines(found, {"outline": outline})
     doubts = gaps or surface_doubts(surface, inside)
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []

@@ -46,6 +46,8 @@ from ladar_volume.uncertainty.ground_field import Roughness
 
 #: Share of the smallest pile that several outlines may share.
 TWICE = 1e-3
+#: Lines of a budget that come from where the points lie, whatever the base.
+PLACES = ("between_points", "unseen", "outline")
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def all_above(
     columns = np.column_stack([net.gradient for net in known.values()] or [part.by_height])
     variance = part.surface.variance(columns)
     variance = variance + sum(part.surface.shared_lines(columns).values())
-    between = sum(asked.budget_m6.get(name, 0.0) for name in ("between_points", "unseen"))
+    between = sum(asked.budget_m6.get(name, 0.0) for name in PLACES)
     out = {}
     for name in PILE_BASES:
         net = nets.get(name)

@@ -58,6 +58,17 @@ def side_ends(tin: Tin, t: I64, k: I64) -> I32:
     return np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
 
 
+def border(tin: Tin, mask: Bool) -> tuple[I32, F64, Bool]:
+    """The sides of triangles (m,) that bound them: their ends (b, 2), counter-clockwise
+    about the triangles, their lengths (b,) m, and whether there is no surface beyond.
+    """
+    t, k = boundary_sides(tin, mask)
+    ends = side_ends(tin, t, k)
+    d = tin.vertices[ends[:, 1], :2] - tin.vertices[ends[:, 0], :2]
+    beyond = tin.neighbours[t, k]
+    return ends, np.hypot(d[:, 0], d[:, 1]), (beyond < 0) | ~tin.relevant[beyond]
+
+
 @kernel
 def open_sides(neighbours: I32, mask: Bool, lengths: F64, t: int) -> tuple[int, float]:
     """How many sides of triangle t border no triangle of the mask, and the longest of them, m."""

@@ -35,7 +35,11 @@ from ladar_volume.tin.elevation_adjustment import (
 )
 from ladar_volume.tin.full_tin import build_tin, part_of
 from ladar_volume.tin.relevant import mark_relevant, with_relevant
-from ladar_volume.tin.sampled_area import SampledArea, sampled_area, triangles_in_sampled_area
+from ladar_volume.tin.sampled_area import (
+    SampledArea,
+    sampled_without_isolated,
+    triangles_in_sampled_area,
+)
 from ladar_volume.tin.window import inside, map_window
 
 #: Variance of least sizes over that of least squares for Gaussian noise, in the limit of many
@@ -178,7 +182,7 @@ def represent(
 def sampled_only(tin: Tin, points: F64, options: SurfaceParameters) -> tuple[Tin, SampledArea]:
     """The surface with the triangles relevant that lie where the points sampled, and that area."""
     if options.full:
-        found = sampled_area(tin)
+        tin, found = sampled_without_isolated(tin)
         mask = found.mask
     else:
         if options.window is not None:

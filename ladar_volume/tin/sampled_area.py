@@ -24,7 +24,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
-from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters, side_length
 
@@ -37,6 +37,9 @@ MOST_CELLS, LARGEST = 4_000_000, 0.25
 #: An open side is long above this many spacings; what lies behind it is deep above as many in the
 #: mean.
 LONG, DEEP = 2.5, 1.0
+#: Points in none of its triangles stand alone beyond so many spacings from it; passes of leaving
+#: them out.
+ALONE, PASSES = 2.5, 3
 #: Circumcircles in an enclosed hole are wider than so many spacings of every corner (diameter), and
 #: than so many of one where the surface is bridged: evenly scattered points make none such.
 HOLE, BRIDGE = 2.5, 3.5
@@ -48,7 +51,7 @@ class SampledArea:
     of the points, by the median; NaN where they do not show it, and the hull stands in · holes,
     hole_m2 : enclosed holes that are bridged, and their area · parts : that the sampled area has ·
     bridged : (m,) triangles that count and are wide for the spacing at one of their corners, in
-    such holes or not
+    such holes or not · beyond : points that stand alone outside it, and are left out
     """
 
     mask: Bool
@@ -59,6 +62,7 @@ class SampledArea:
     hole_m2: float
     parts: int
     bridged: Bool
+    beyond: int = 0
 
 
 @kernel
@@ -208,12 +212,41 @@ def sampled_area(tin: Tin) -> SampledArea:
     )
 
 
+def isolated_beyond(tin: Tin, mask: Bool) -> Bool:
+    """Vertices (n,) that stand alone outside the triangles (m,) that were sampled."""
+    used = vertex_mask(tin, mask)
+    out = np.zeros(len(used), bool)
+    rest = np.flatnonzero(~used)
+    if not len(rest) or not used.any():
+        return out
+    xy = tin.vertices[:, :2]
+    far, near = cKDTree(xy[used]).query(xy[rest])
+    out[rest] = far > ALONE * spacings(xy[used])[near]
+    return out
+
+
+def sampled_without_isolated(tin: Tin) -> tuple[Tin, SampledArea]:
+    """A full TIN without the points that stand alone outside the sampled area, which would bend its
+    outline, and that area.
+    """
+    found, beyond = sampled_area(tin), 0
+    for _ in range(PASSES):
+        alone = isolated_beyond(tin, found.mask)
+        if not alone.any():
+            break
+        beyond += int(np.count_nonzero(alone))
+        rest = build_tin(tin.vertices[~alone])
+        source = tin.source[~alone][rest.source]
+        tin = dataclasses.replace(rest, source=source, duplicates=tin.duplicates)
+        found = sampled_area(tin)
+    return tin, dataclasses.replace(found, beyond=beyond)
+
+
 def triangles_in_sampled_area(tin: Tin, points: F64) -> tuple[Bool, SampledArea]:
     """Which triangles (m,) of a partial TIN lie where points (n, 3) m sampled, by half of four
     places in each; also that area, with the triangles of the partial TIN that bridge it.
     """
-    full = build_tin(points)
-    found = sampled_area(full)
+    full, found = sampled_without_isolated(build_tin(points))
     index = triangle_index(full, found.mask)
     p = tin.vertices[tin.triangles, :2]
     weights = [(1, 1, 1), (4, 1, 1), (1, 4, 1), (1, 1, 4)]

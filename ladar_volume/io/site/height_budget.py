@@ -26,6 +26,7 @@ TAKEN = (
     "toe_place",
     "between_points",
     "unseen",
+    "outline",
     "vegetation",
     *CALIBRATION_GROUPS,
     "calibration",
