@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
+
 #: Point clouds: ending → encodings that can be written, the default first.
 ENCODINGS: dict[str, tuple[str, ...]] = {
     ".ply": ("binary", "ascii", "binary_big_endian"),
@@ -20,3 +23,9 @@ CLOUD_ENDINGS = (*ENCODINGS, ".e57")
 ENDINGS = (".ply", ".obj", ".stl", ".off")
 LANDXML = (".xml", ".landxml")
 READ_ENDINGS = (*ENDINGS, *LANDXML)
+
+
+def unknown_cloud(path: Path, kinds: Iterable[str] = CLOUD_ENDINGS) -> str:
+    """What to say of a point cloud file whose ending is none of these."""
+    ending = path.suffix.lower() or "no ending"
+    return f"{path}: {ending} is no known kind of point cloud file ({', '.join(kinds)})"

@@ -62,6 +62,8 @@ REFUSED = {
     "no mesh": (["body", "absent.ply", "-o", "x.ply"], "absent.ply: no such file"),
     "no scan": (["diff", "absent.ply", "README.md"], "absent.ply: no such file"),
     "no spheres": (["register", "absent.csv", "README.md"], "absent.csv: no such file"),
+    "no kind of cloud": (["volume", "README.md", "--level", "1"], ".md is no known kind"),
+    "no kind of scan": (["diff", "bags", "README.md"], "bags: no ending is no known kind"),
     "no measurements": (["calibrate", "repeats", "absent.csv"], "absent.csv: no such file"),
     "no survey": (["epochs", "absent", "bags"], "absent: no such file; replay writes it"),
     "no recording": (["replay", "absent"], "absent: no such recording"),

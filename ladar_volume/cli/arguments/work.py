@@ -9,7 +9,7 @@ import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS, unknown_cloud
 from ladar_volume.model.errors import BagError, InputError, LadarVolumeError
 
 #: Arguments that name a file to read, by verb.
@@ -58,13 +58,15 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
 
         read_config(config_of(arguments), arguments.set)
     verb, given = arguments.verb, vars(arguments)
-    clouds = [given.get(name) for name in CLOUDS.get(verb, ())]
-    # an ending that nobody knows is the reader's to refuse: it names those it knows
-    files = [path for path in clouds if path is not None and of_known_kind(path)]
+    clouds = [path for name in CLOUDS.get(verb, ()) if (path := given.get(name)) is not None]
+    files = [path for path in clouds if of_known_kind(path)]
     for path in (*files, *(given.get(name) for name in FILES.get(verb, ()))):
         if path is not None and not path.exists():
             hint = "; replay writes it" if verb in ("epochs", "export") else ""
             yield InputError(f"{path}: no such file{hint}", reason="input_missing", value=str(path))
+    for path in clouds:
+        if path not in files:
+            yield InputError(unknown_cloud(path), reason=f"{InputError.reason}_format")
     for path in (given.get(name) for name in RECORDINGS.get(verb, ())):
         if path is not None and not path.exists():
             yield BagError(f"{path}: no such recording", reason="bag_missing", value=str(path))

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import atomic_file
-from ladar_volume.io.endings import CLOUD_ENDINGS, ENCODINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, ENCODINGS, unknown_cloud
 from ladar_volume.io.pointfiles import pcd, ply, text
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.io.pointfiles.point_file import NORMALS, PointFile, assemble
@@ -80,11 +80,7 @@ def _brief(path: Path, words: str) -> str:
 def _ending(path: Path, error: type[LadarVolumeError]) -> str:
     ending, kinds = path.suffix.lower(), CLOUD_ENDINGS if error is InputError else tuple(ENCODINGS)
     if ending not in kinds:
-        known = ", ".join(kinds)
-        raise error(
-            f"{path}: {ending or 'no ending'} is no known kind of point cloud file ({known})",
-            reason=f"{error.reason}_format",
-        )
+        raise error(unknown_cloud(path, kinds), reason=f"{error.reason}_format")
     return ending
 
 
