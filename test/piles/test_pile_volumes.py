@@ -269,7 +269,7 @@ def test_bases_nobody_chose_between_widen_sigma():
 
 
 def test_errors_that_all_heights_share_lift_a_level_and_no_base_of_the_same_survey(quiet):
-    shared = dataclasses.replace(quiet, shared=(HeightError("datum", 0.02),))
+    shared = dataclasses.replace(quiet, shared_errors=(HeightError("datum", 0.02),))
     level = Parameters()
     level = dataclasses.replace(level, volume=dataclasses.replace(level.volume, level_m=100.0))
     found = volumes(shared, "level", parameters=level)
