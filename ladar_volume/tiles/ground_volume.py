@@ -23,6 +23,7 @@ from ladar_volume.tiles.tile_ground_volume import Above, GroundSums, Squares
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_store import CloudParts, Tile, TileIndex, distribute_part, tile_index
 from ladar_volume.tiles.tile_surface import Limits, surface_of
+from ladar_volume.tiles.tile_volume import noise_of_tile
 from ladar_volume.tiles.tile_work import Workers, results
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
@@ -55,17 +56,22 @@ class GroundVolume:
 
 @dataclass(frozen=True)
 class Triangulated:
-    """What is known of a tile once it is triangulated: its reach, points and their noise, m."""
+    """What is known of a tile once it is triangulated: its reach, points and their noise, m, NaN
+    where it is not asked for or cannot be told.
+    """
 
     reach: Box
     points: int
     sigma_m: float
 
 
-def triangulated(of: Tiled, tile: Tile) -> Triangulated:
-    """Triangulate a tile where that is not done yet."""
-    surface = surface_of(of.index, of.limits, tile)
-    return Triangulated(tile_outline.reach(of, tile), surface.points, surface.sigma_m)
+def triangulated(of: Tiled, tile: Tile, noise: bool) -> Triangulated:
+    """Triangulate a tile where that is not done yet; ``noise`` : whether that of its points is
+    asked for.
+    """
+    points = surface_of(of.index, of.limits, tile).points
+    sigma = noise_of_tile(of.index.points(tile)) if noise else None
+    return Triangulated(tile_outline.reach(of, tile), points, math.nan if sigma is None else sigma)
 
 
 def above_ground(
@@ -93,7 +99,7 @@ def above_ground(
     found = results(
         workers,
         partial(run_batch, triangulated, of),
-        [(k, [(tile,)]) for k, tile in enumerate(longest)],
+        [(k, [(tile, sigma_m is None)]) for k, tile in enumerate(longest)],
         lambda done: progress("surface", total, done[1][0].points),
     )
     known = {longest[k]: one for k, (one,) in found}

@@ -12,7 +12,6 @@ from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tiles.tile_stars import TileStars, tile_stars
 from ladar_volume.tiles.tile_store import Tile, TileIndex, digest
-from ladar_volume.tiles.tile_volume import noise_of_tile
 from ladar_volume.tin.full_tin import places_in
 from ladar_volume.tin.relevant import relevant_triangles
 
@@ -38,8 +37,7 @@ class TileSurface:
     a side -1 for the hull, which is told at the tile's own vertices, :data:`UNKNOWN` for what is
     not · shared : (n,) points at each vertex · own : (n,) which vertices lie in the tile · counted
     : (m,) triangles that belong to it · row : (n,) number of the first point of the file there, -1
-    for vertices of other tiles · points, rounds : counts · sigma_m : noise of its heights, NaN
-    where it cannot be told
+    for vertices of other tiles · points, rounds : counts
     """
 
     tin: Tin
@@ -49,7 +47,6 @@ class TileSurface:
     row: I64
     points: int
     rounds: int
-    sigma_m: float
 
     @property
     def used(self) -> Bool:
@@ -77,8 +74,7 @@ def surface_of(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
             tin = Tin(*(file[n] for n in ARRAYS))
             shared, own, counted = file["shared"], file["own"], file["counted"]
             points, rounds = (int(n) for n in file["counts"])
-            sigma_m = float(file["sigma_m"])
-            return TileSurface(tin, shared, own, counted, tin.source, points, rounds, sigma_m)
+            return TileSurface(tin, shared, own, counted, tin.source, points, rounds)
     except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
         made = make_surface(index, limits, tile)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +91,6 @@ def surface_of(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
             own=made.own,
             counted=made.counted,
             counts=np.array([made.points, made.rounds]),
-            sigma_m=np.array(made.sigma_m),
             **dict(zip(USED, of_used(made), strict=True)),  # type: ignore[arg-type]
         )
     return made
@@ -127,13 +122,10 @@ def make_surface(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
     counts = relevant_triangles(
         tin, limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
     )
-    sigma = noise_of_tile(points)
-    return part_of_tile(stars, row, counts, len(points), math.nan if sigma is None else sigma)
+    return part_of_tile(stars, row, counts, len(points))
 
 
-def part_of_tile(
-    stars: TileStars, row: I64, counts: Bool, points: int, sigma_m: float
-) -> TileSurface:
+def part_of_tile(stars: TileStars, row: I64, counts: Bool, points: int) -> TileSurface:
     """The triangles that meet a tile's vertices, and their corners, numbered anew."""
     tin, star = stars.tin, stars.star
     corners = np.unique(tin.triangles[star]).astype(np.int64)
@@ -154,7 +146,6 @@ def part_of_tile(
         row[corners],
         points,
         stars.rounds,
-        sigma_m,
     )
 
 
