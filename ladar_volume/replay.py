@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, about, bodies_of_survey
+from ladar_volume.georeference.fix_steps import step_doubts
 from ladar_volume.io import results
 from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
@@ -247,6 +248,11 @@ class Replay:
         )
         return Verdict((Doubt("height_reference", words, p.georeference.datum_height_m),))
 
+    def step_doubts(self, estimate: Estimate) -> Verdict:
+        """When the fixes step, where the passes disagree."""
+        step = self.engine.georeferencer.fix_steps.largest()
+        return step_doubts(step, self.bag.start_ns, estimate.volume.verdict)
+
     def _source(self, more: dict[str, int]) -> dict[str, Any]:
         """What was replayed. more : messages by role beyond those that were heard live."""
         source: dict[str, Any] = {
@@ -274,7 +280,7 @@ class Replay:
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
-        doubts = self.height_doubts() + missing_messages(counted)
+        doubts = self.height_doubts() + missing_messages(counted) + self.step_doubts(estimate)
         result["verdict"] = results.with_doubts(result["verdict"], doubts)
         if self.convergence:
             result["convergence"] = [

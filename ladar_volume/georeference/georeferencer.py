@@ -17,6 +17,7 @@ import numpy.typing as npt
 from ladar_volume.georeference.clock_check import Lead, SweepTimes
 from ladar_volume.georeference.clock_restart import Restart
 from ladar_volume.georeference.error_budget import independent_sigmas
+from ladar_volume.georeference.fix_steps import FixSteps
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.mapping import (
@@ -137,6 +138,7 @@ class Georeferencer:
         self._newest_pose_ns: int | None = None
         self._points: list[MappedPoints] = []
         self._states: list[PlatformStates] = []
+        self.fix_steps = FixSteps()
         self.cloud_lead, self.fix_lead, self.sweeps = Lead(), Lead(), SweepTimes()
 
     @property
@@ -179,6 +181,7 @@ class Georeferencer:
             self._frame = LocalFrame(Datum(fix.latitude_deg, fix.longitude_deg, fix.height_m))
         turn = self._frame.convergence(fix.latitude_deg, fix.longitude_deg)
         p_map = self._frame.to_map(fix.latitude_deg, fix.longitude_deg, fix.height_m)
+        self.fix_steps.add(fix.t_ns, p_map)
         self.trajectory.add_position(
             fix.t_ns, p_map, turn @ C_enu @ turn.T, quaternion_from_matrix(turn)
         )
