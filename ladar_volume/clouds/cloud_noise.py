@@ -4,6 +4,11 @@ A return's nearest neighbours lie on its own scan line, an exact cone through th
 local fits go through whatever the noise. Neighbours are therefore taken one from each cell of the
 size at which the raster of the footprints is filled (see :mod:`ladar_volume.tin.sampled_area`).
 Copies of a point count once; coordinates rounded to steps of q have at least the variance q²/12.
+
+The filter has an estimate of its own (:mod:`ladar_volume.clouds.sampling.trimmed_noise`). It tells
+the noise along the normal of surfaces of any direction, place by place, of raw sweeps. This one
+tells one number for the heights of a surface that has one height per place, which is what a volume
+propagates, and roughness between the points counts in it: the triangles have it too.
 """
 
 from __future__ import annotations

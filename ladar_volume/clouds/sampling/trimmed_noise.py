@@ -3,7 +3,8 @@
 The lines of a real scanner lie off each other by about their noise, each as a whole. A fit to the
 best half of the points (least median of squares) chooses the lines that happen to agree and takes
 the rest for outliers; one to four fifths cannot. Rousseeuw and van Driessen (2006), concentration
-steps from the principal plane.
+steps from the principal plane. Heights of a surface in plan have an estimate of their own
+(:mod:`ladar_volume.clouds.cloud_noise`, which says why).
 """
 
 from __future__ import annotations
