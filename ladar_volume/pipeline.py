@@ -111,4 +111,5 @@ class Engine:
         total = Losses()
         for stage in (self.georeferencer, self.filter, self.estimator):
             total.merge(stage.losses)
+        total.merge(self.estimator.screen_losses)
         return total

@@ -193,8 +193,8 @@ def make_surface(
             options,
             values,
             words,
-            arguments.screen,
-            arguments.median,
+            arguments.screen or None,
+            arguments.median or None,
             arguments.clean,
         )
     except SurfaceError as error:

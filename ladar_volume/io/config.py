@@ -40,7 +40,7 @@ def read_config(
             raise type(error)(f"{path}: {error}", value=error.value) from error
     for text in overrides:
         parameters = Parameters.read(override(text), parameters)
-    return parameters
+    return parameters.checked()
 
 
 def sections_of(document: object) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from ladar_volume.model.cloud_filter_parameters import FilterParameters as Filte
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.parameter import param, read_section, unknown_section, write_section
 from ladar_volume.model.robust_fit_parameters import RandomStartParameters
+from ladar_volume.model.surface_parameters import TinParameters
 
 
 @dataclass(frozen=True)
@@ -536,6 +537,7 @@ SECTIONS: dict[str, type] = {
     "georeference": GeoreferenceParameters,
     "filter": SurfaceFilterParameters,
     "ground": GroundParameters,
+    "tin": TinParameters,
     "volume": VolumeParameters,
     "node": NodeParameters,
     "logger": LoggerParameters,
@@ -552,6 +554,7 @@ class Parameters:
     georeference: GeoreferenceParameters = field(default_factory=GeoreferenceParameters)
     filter: SurfaceFilterParameters = field(default_factory=SurfaceFilterParameters)
     ground: GroundParameters = field(default_factory=GroundParameters)
+    tin: TinParameters = field(default_factory=TinParameters)
     volume: VolumeParameters = field(default_factory=VolumeParameters)
     node: NodeParameters = field(default_factory=NodeParameters)
     logger: LoggerParameters = field(default_factory=LoggerParameters)
@@ -578,6 +581,11 @@ class Parameters:
                 given = {k: v for k, v in given.items() if k not in getattr(kind, "elsewhere", {})}
             changes[section] = read_section(kind, section, given, getattr(base, section))
         return dataclasses.replace(base, **changes)
+
+    def checked(self) -> Parameters:
+        """These, where each has its effect beside the others; raises a ConfigurationError."""
+        self.tin.check(self.volume.vertex_ratio, self.volume.relevant)
+        return self
 
     def write(self) -> dict[str, dict[str, Any]]:
         """As ``{section: {key: value}}`` with outside keys and units."""

@@ -138,7 +138,7 @@ class StageNode(LifecycleNode, ABC):
             }
             for s in self.sections
         }
-        return Parameters.read(values, start)
+        return Parameters.read(values, start).checked()
 
     def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
         values: dict[str, dict[str, Any]] = {}
@@ -155,7 +155,7 @@ class StageNode(LifecycleNode, ABC):
         if not values:
             return SetParametersResult(successful=True)
         try:
-            parameters = Parameters.read(values, self.parameters)
+            parameters = Parameters.read(values, self.parameters).checked()
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.parameters = parameters

@@ -37,6 +37,7 @@ from ladar_volume.io.message_tables import (
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
+from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import Estimate, FilterUpdate, Volume
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.nodes.base import StageNode
@@ -65,10 +66,10 @@ UPSTREAM = ("georeference_node", "filter_node")
 class VolumeNode(StageNode):
     """Wraps one VolumeEstimator; estimates after every complete update of the surface."""
 
-    sections = ("budget", "georeference", "filter", "ground", "volume", "node")
+    sections = ("budget", "georeference", "filter", "ground", "tin", "volume", "node")
     kernels = "volume"
     upstream = (("points_mapped", "georeference_node"), ("points_filtered", "filter_node"))
-    runtime_sections = ("node", "ground", "volume")
+    runtime_sections = ("node", "ground", "tin", "volume")
 
     def __init__(self, **options: Any) -> None:
         super().__init__("volume_node", **options)
@@ -142,6 +143,12 @@ class VolumeNode(StageNode):
             ("start_epoch", self._start_epoch),
         ):
             self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=answers)
+
+    def all_losses(self) -> Losses:
+        """Those of the node and its stage, and what median screen and filter changed at last."""
+        total = super().all_losses()
+        total.merge(self.stage.screen_losses)
+        return total
 
     def _start_over(self, stage: VolumeEstimator | None = None, keep_returns: bool = False) -> None:
         self.losses.merge(self.stage.losses)

@@ -34,7 +34,7 @@ B = TypeVar("B")
 #: Called with the stage, the share of it that is done, and returns done so far.
 Progress = Callable[[str, float, int], None]
 #: Sections that say what is done with the patches of the tiles, not how these are made.
-AFTERWARDS = ("ground", "volume", "node", "logger")
+AFTERWARDS = ("ground", "tin", "volume", "node", "logger")
 #: Pose records between two looks at what they tell.
 STEP = 200
 

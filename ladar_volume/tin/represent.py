@@ -58,7 +58,9 @@ class RepresentedSurface:
     binning · off_map_count : points off the map · rms_m, asd_m, fit_count : measures of fit in the
     end, and over how many points; rms_before_m, asd_before_m : with the heights as measured ·
     sampled_area : the sampled area, where it tells the relevant triangles · adjusted_on : the
-    surface before the exchange of diagonals, where the heights were adjusted on that one
+    surface before the exchange of diagonals, where the heights were adjusted on that one ·
+    screened_count, levelled_count : points left out, and given the median of their neighbours,
+    before
     """
 
     tin: Tin
@@ -75,6 +77,8 @@ class RepresentedSurface:
     asd_before_m: float
     sampled_area: SampledArea | None = None
     adjusted_on: Tin | None = None
+    screened_count: int = 0
+    levelled_count: int = 0
 
     def by_points(self, gradient: F64, points: int) -> F64:
         """From gradients (n, k, 3) of k results by the vertices to gradients (points, k, 3) by the

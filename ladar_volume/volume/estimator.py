@@ -23,7 +23,7 @@ from ladar_volume.model.records import (
     Plane,
     PlatformStates,
 )
-from ladar_volume.tin.represent import RepresentedSurface, represent
+from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.patch_table import PatchStore
@@ -37,9 +37,9 @@ from ladar_volume.volume.field_checks.field_verdict import (
 )
 from ladar_volume.volume.field_checks.object_removal import (
     objects_by_body,
-    surface_options,
     without_objects,
 )
+from ladar_volume.volume.field_checks.survey_surface import survey_surface
 from ladar_volume.volume.measured_body import (
     Footing,
     MeasuredBody,
@@ -146,6 +146,16 @@ class VolumeEstimator:
         return Epoch(self.surface(points), self._sources(points, patches), self._t_ns)
 
     @property
+    def screen_losses(self) -> Losses:
+        """What the median screen and filter left out and changed in the present surface."""
+        made = self._surface_now
+        return Losses(
+            {}
+            if made is None
+            else {"point_screened": made.screened_count, "point_levelled": made.levelled_count}
+        )
+
+    @property
     def parts(self) -> tuple[F64, ...]:
         """Area (t,) m² of each triangle that counts in the last estimate, by body, the main one
         first. Raises :class:`VolumeError` without one.
@@ -195,8 +205,7 @@ class VolumeEstimator:
 
     def surface(self, points: FilteredPoints) -> RepresentedSurface:
         if self._surface_now is None:
-            options = surface_options(self.parameters.volume)
-            self._surface_now = represent(points.r_map, options, measured=False)
+            self._surface_now = survey_surface(points, self.parameters)
         return self._surface_now
 
     def _sources(self, points: FilteredPoints, patches: Patches) -> Sources:

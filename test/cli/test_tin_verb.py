@@ -282,13 +282,10 @@ def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
         ([path, "-o", out, "--vertices", -1], "whole number"),
         ([path, "-o", out, "--vertices", 0.5, "--relevant", "circumcircle"], "go together"),
         ([path, "-o", out, "--iterations", 5], "belong to --adjust rms-iterated"),
-        ([path, "-o", out, "--adjust", "rms-iterated", "--iterations", -1], "0 or more"),
         ([path, "-o", out, "--tolerance", -1], "0 or more"),
         ([path, "-o", out, "--bins", 0], "one or more"),
         ([path, "-o", out, "--vertices", 10, "--bins", 9], "use fewer bins"),
-        ([path, "-o", out, "--screen", -1], "0 or more"),
         ([path, "-o", out, "--duplicates", -1], "0 or more"),
-        ([path, "-o", out, "--max-ear", -1], "0 or more"),
         ([path, "-o", out, "--window", 5, 5, 1, 1], "no area"),
         ([path, "-o", out, "--frame", "scan", "--direction", 0, 0, 0], "not all zero"),
         (
@@ -308,9 +305,13 @@ def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
         [path],
         [path, "-o", out, "--adjust", "best"],
         [path, "-o", out, "--vertices", "some"],
+        [path, "-o", out, "--adjust", "rms-iterated", "--iterations", -1],
+        [path, "-o", out, "--screen", -1],
+        [path, "-o", out, "--max-ear", -1],
     ):
-        with pytest.raises(SystemExit):
+        with pytest.raises(SystemExit) as refused:
             main(["tin", *map(str, words)])
+        assert refused.value.code == 2 and capsys.readouterr().err.count("\n") == 1, words
     assert sorted(p.name for p in tmp_path.iterdir()) == before
 
 

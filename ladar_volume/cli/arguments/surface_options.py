@@ -108,15 +108,8 @@ def _add_points(g: argparse._ArgumentGroup) -> None:
             "those that the filter takes out"
         ),
     )
-    g.add_argument(
-        "--screen",
-        type=number,
-        metavar="M",
-        help="delete points farther than this from the median of their neighbours",
-    )
-    g.add_argument(
-        "--median", type=number, metavar="M", help="give such points that median instead"
-    )
+    add_parameter(g, "--screen", "tin.screen_m")
+    add_parameter(g, "--median", "tin.median_m")
     add_parameter(g, "--window", "surface.window", metavar=("X0", "Y0", "X1", "Y1"))
     add_parameter(g, "--duplicates", "surface.duplicate_tolerance_m", own_default=True)
     add_parameter(g, "--bins", "surface.bins_per_row", metavar="N")

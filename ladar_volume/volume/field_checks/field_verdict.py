@@ -14,6 +14,7 @@ from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
+from ladar_volume.model.surface_parameters import TinParameters
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.pass_agreement import (
@@ -58,6 +59,8 @@ from ladar_volume.volume.measured_body import (
 COVER = 4.0
 #: Lines of the budget that returns do not share.
 OWN = ("noise", "noise_tangential", "base_surface")
+#: Share of the points that a median screen may change: more are no outliers.
+MOST_SCREENED = 0.05
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
 ROUNDS = 3
 
@@ -295,6 +298,38 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     return with_line(volume, "edges", found.sigma_m3**2)
 
 
+def with_surface(survey: SurveyedSurface, volume: Volume, options: TinParameters) -> Volume:
+    """The volume with what the making of its surface leaves to doubt."""
+    made, doubts = survey.surface, []
+    lacking = {
+        "the exchanged diagonals": options.exchange != "none",
+        "the vertices chosen by tin.criterion residual-sigma": options.criterion
+        == "residual-sigma",
+    }
+    fixed = [name for name, chosen in lacking.items() if chosen]
+    if fixed:
+        words = (
+            f"sigma takes {' and '.join(fixed)} for given, though noise had a part in it: with "
+            "redrawn noise the volume of a cone scattered up to 1.6 times the line noise; compare "
+            "with the default"
+        )
+        doubts.append(Doubt("surface_held_fixed", words))
+    if not made.converged:
+        words = (
+            "the adjustment rms-iterated ended before its tolerance, and sigma is that of its "
+            "limit: raise tin.max_iterations, or take tin.adjust rms"
+        )
+        doubts.append(Doubt("adjustment_unfinished", words))
+    share = (made.screened_count + made.levelled_count) / max(len(survey.points), 1)
+    if share > MOST_SCREENED:
+        words = (
+            f"median screen and filter changed {100 * share:.2g} % of the filtered points, corners "
+            "and edges among them: raise tin.screen_m and tin.median_m"
+        )
+        doubts.append(Doubt("screened", words, share))
+    return dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
+
+
 def with_objects(volume: Volume, objects: tuple[StandingObject, ...]) -> Volume:
     """The volume with what was taken out of the surface."""
     if not objects:
@@ -316,6 +351,7 @@ def assess_field(
     surface.
     """
     part = body.part
+    volume = with_surface(survey, volume, parameters.tin)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(volume, passes.cover_m)
     volume = with_gaps(survey, footing, part, volume)
