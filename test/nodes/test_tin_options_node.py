@@ -40,7 +40,7 @@ answers = [
 out.append(volume())
 node.stage.add_platform(platform())
 node.stage.add(update)
-live = node._compute().volume.volume_m3
+live = node.stage.estimate(False).volume.volume_m3
 node.trigger_shutdown()
 rclpy.try_shutdown()
 said = [[a.successful, a.reason] for a in answers]
