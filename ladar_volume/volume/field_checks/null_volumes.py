@@ -26,9 +26,9 @@ from ladar_volume.uncertainty.ground_field import GroundField, Roughness
 #: Sizes of the outlines, the first of which so many find room side by side, and the most of these.
 SIZES, ENOUGH, MOST = (1.0, 0.7, 0.5, 0.35, 0.25), 6, 12
 #: Cells of the grid along the longer side of the ground, and along an outline at least.
-CELLS, ACROSS = 80, 8.0
-#: Fewest points of ground under an outline.
-FEWEST = 20
+CELLS, ACROSS = 56, 8.0
+#: Fewest points of ground under an outline, and most points of ground that are asked.
+FEWEST, POINTS = 20, 4000
 #: Probability below which the spread refutes the base's line, and below which it is a doubt, and
 #: how much larger its variance then is at least.
 REFUTED, DOUBTED, LEAST = 0.05, 1e-3, 2.25
@@ -128,12 +128,14 @@ def null_volumes(
     """The null volumes around an outline, inside_m2 (m,) m² of each triangle; none where the ground
     has no room for six. height_variance : (n,) m² of the vertices · rough : the ground's field.
     """
-    xy = tin.vertices[base.support, :2]
-    e = tin.vertices[base.support, 2] - base_height(base, xy)
-    noise = height_variance[base.support]
-    found, size = outlines_on_ground(tin, inside_m2, xy, 2.0 * rough.spacing_m)
+    step = max(1, math.ceil(len(base.support) / POINTS))
+    some, apart = base.support[::step], math.sqrt(step) * rough.spacing_m
+    xy = tin.vertices[some, :2]
+    e = tin.vertices[some, 2] - base_height(base, xy)
+    noise = height_variance[some]
+    found, size = outlines_on_ground(tin, inside_m2, xy, 2.0 * apart)
     # half a length of the field is a cell fine enough
-    coarse = dataclasses.replace(rough, spacing_m=max(rough.spacing_m, 0.5 * rough.length_m))
+    coarse = dataclasses.replace(rough, spacing_m=max(apart, 0.5 * rough.length_m))
     X = design((xy - xy.mean(axis=0)) / max(float(np.ptp(xy)), 1e-9), np.zeros(2), degree_of(base))
     normal, heights, sigmas = X.T @ X, [], []
     for under in found:
