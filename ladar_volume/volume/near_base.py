@@ -17,6 +17,7 @@ through ``H = ∫ λ λᵀ φ / s``: ``GᵀCG + ½ tr(HCHC)``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -40,6 +41,8 @@ from ladar_volume.volume.remaining_fold import RemainingFold, remaining_fold, sc
 #: A triangle counts as near where its heights come within this many standard deviations of the
 #: base.
 REACH = 3.0
+#: Share of the scatter of chosen vertices beyond their noise that is not known.
+SCATTER_UNKNOWN = 0.25
 #: Triangles looked at at once: the means of a few numbers each take room.
 BLOCK = 1 << 18
 
@@ -185,7 +188,7 @@ def near_base(
     """
     t = tin.triangles[tin.relevant if mask is None else mask]
     h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
-    near, joint = _near_and_covariance(tin, h, t, C, selected)
+    near, joint, wider = _near_and_covariance(tin, h, t, C, selected)
     part, close_area = part_about(tin, t[near], rings), area[near]
     own, close = part.vertex, part.close
     C_own, sums = _covariance_of(joint, own, summed)
@@ -201,6 +204,9 @@ def near_base(
     variances = first[0] + curved, first[1] + curved, first[2], curved
     left = remaining_fold(smooth, close, close_area, rings)
     total = float(close_area @ found[:, 0])
+    if wider > 1.0:
+        packed = node_covariances(C_own, close)
+        left = left.with_scatter(total - _with_more_noise(smooth, close, close_area, packed, wider))
     return NearBase(total, float(close_area.sum()), near, *variances, cut, net, left)
 
 
@@ -213,19 +219,33 @@ def _covariance_of(joint: SparseF64, own: I64, summed: F64 | None) -> tuple[Spar
     return rows[:, own], sums if summed is None else summed[own]
 
 
+def _with_more_noise(smooth: Smooth, close: I32, area: F64, packed: F64, wider: float) -> float:
+    """The correction, m³, of triangles close (k, 3) of areas (k,) m² if the factor ``wider``, by
+    which their node covariances (k, 6) were raised, were more: noise of chosen vertices is not
+    Gaussian, and how far it folds is known no better.
+    """
+    more = 1.0 + SCATTER_UNKNOWN * (wider - 1.0) / wider
+    return sum(
+        float(area[part] @ correction(*folds(mu, math.sqrt(more) * s, more * noise, slopes=False)))
+        for part, (mu, s, noise) in blocks(smooth, close, packed)
+    )
+
+
 def _near_and_covariance(
     tin: Tin, height: F64, t: I32, C: F64 | SparseF64, selected: bool
-) -> tuple[Bool, Any]:
+) -> tuple[Bool, Any, float]:
     """Which of the triangles t (m, 3) are near the base (m,), and the heights' covariance (n, n),
-    sparse, raised where the vertices were ``selected``, as :func:`near_base` says.
+    sparse, raised where the vertices were ``selected``, as :func:`near_base` says, and by how much.
     """
     if len(t) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
     joint: Any = C if sparse.issparse(C) else diagonal_matrix(np.asarray(C, dtype=np.float64))
     near = near_triangles(t, height, check_variances(joint.diagonal(), len(tin.vertices)))
+    wider = 1.0
     if selected and near.any():
-        joint = joint * scatter(tin, height, joint.diagonal(), t[near])
-    return near, joint
+        wider = scatter(tin, height, joint.diagonal(), t[near])
+        joint = joint * wider
+    return near, joint, wider
 
 
 def load(slope: F64, area: F64, triangles: I32, n: int) -> F64:

@@ -38,6 +38,10 @@ class RemainingFold(NamedTuple):
     fold_m3: float
     sigma_m3: float
 
+    def with_scatter(self, apart_m3: float) -> RemainingFold:
+        """The same, where what the noise of chosen vertices folds is uncertain by so much too."""
+        return RemainingFold(self.fold_m3, math.hypot(self.sigma_m3, apart_m3))
+
 
 def remaining_fold(smooth: Smooth, triangles: I32, area: F64, rings: int) -> RemainingFold:
     """What is left over triangles (m, 3) of areas (m,) m² near the base; ``rings`` : of a whole
