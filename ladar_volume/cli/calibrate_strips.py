@@ -203,7 +203,6 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
         "patches",
         "strips",
         "returns",
-        "moved",
         "steps",
     )
     part = np.ix_(CORRECTED, CORRECTED)
@@ -212,6 +211,7 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
         "columns": [found.names[k] for k in CORRECTED],
         "covariance": found.posterior[part].tolist(),
         **{name: getattr(found, name) for name in names},
+        "moved": found.moved_patches,
         "calibration": corrected.write()["calibration"],
         "version": version(),
     }
