@@ -22,6 +22,7 @@ from ladar_volume.clouds.ground_cover import (
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.clouds.sampling.outline_place import outline_variance
+from ladar_volume.clouds.sampling.thin_toe import volume_beyond
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane
@@ -277,6 +278,20 @@ def with_lines(volume: CloudVolume, lines: dict[str, float]) -> CloudVolume:
     )
 
 
+def with_edge(
+    volume: CloudVolume, surface: CloudSurface, inside: F64, height: F64, by_body: bool
+) -> CloudVolume:
+    """The volume with what the place of its edge does to it: where the sampled area ends (line
+    ``outline``) and, for the outline of a body, what its toe holds beyond (line ``toe``).
+    """
+    tin, mask = surface.representation.tin, inside > 0
+    lines = {"outline": outline_variance(tin, mask, height, [surface.representation.sampled_area])}
+    if by_body:
+        lines["toe"] = volume_beyond(tin, mask, height) ** 2
+    lines = {name: variance for name, variance in lines.items() if variance > 0.0}
+    return with_lines(volume, lines) if lines else volume
+
+
 def with_readings(volume: CloudVolume, readings: GroundReadings | None) -> CloudVolume:
     """The volume with what the choice of its ground does to it."""
     if readings is None or readings.others is None or math.isnan(volume.sigma_m3):
@@ -305,9 +320,7 @@ def volume_with_verdict(
     height = height_above(tin.vertices, base)
     between = between_points(surface, inside, height, ~gap_mask)
     found = with_between(volume, between)
-    outline = outline_variance(tin, inside > 0, height, [surface.representation.sampled_area])
-    if outline > 0.0:
-        found = with_lines(found, {"outline": outline})
+    found = with_edge(found, surface, inside, height, by_body)
     doubts = gaps or surface_doubts(surface, inside)
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []

@@ -1,0 +1,58 @@
+"""What lies beyond the outline of a body whose toe runs out thinly.
+
+An outline drawn where a surface meets the noise of its ground leaves the rest of a thin toe
+outside. Just inside it the profile of a toe that falls in proportion to its height, as the tail of
+a dune or of what rain has washed out, is ``h exp(x / L)``, and ``h L`` lies beyond each metre of
+outline. The height h at the outline is that of a parabola through the heights of a band, and L is
+such that the exponential has their mean. A sharp toe has h = 0; an outline that goes beyond it runs
+over ground that is level, or rises outwards.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.spatial import cKDTree
+
+from ladar_volume.model.records import F64, Bool, Tin
+from ladar_volume.tin.boundary import border
+from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+
+#: The band of the profile, in radii of a disc of the outline's area, and fewest points in it.
+BAND, FEWEST = 0.35, 60
+#: Places on each side of the outline.
+PARTS = 9
+#: A height at the outline is one beyond so many standard deviations.
+CHANCE = 2.0
+
+
+def volume_beyond(tin: Tin, mask: Bool, height: F64) -> float:
+    """Volume, m³, that a thin toe of the triangles (m,) of a body holds beyond its outline; height
+    (n,) m of the vertices above the base. 0 where too few points show the profile, or it is sharp.
+    """
+    ends, length, is_open = border(tin, mask)
+    ends, length = ends[~is_open], length[~is_open]
+    area = float(footprint_areas(tin.vertices, tin.triangles[mask]).sum())
+    if not len(ends) or not area > 0.0:
+        return 0.0
+    band = BAND * math.sqrt(area / math.pi)
+    body = np.flatnonzero(vertex_mask(tin, mask))
+    a, b = (tin.vertices[ends[:, k], :2] for k in range(2))
+    part = np.linspace(0.0, 1.0, PARTS)[:, None, None]
+    tree = cKDTree(((1.0 - part) * a + part * b).reshape(-1, 2), balanced_tree=False)
+    d = np.asarray(tree.query(tin.vertices[body, :2], distance_upper_bound=band)[0])
+    near = d < band
+    if np.count_nonzero(near) < FEWEST:
+        return 0.0
+    x, h = d[near] / band, height[body[near]]
+    X = np.stack([np.ones_like(x), x, x * x], axis=1)
+    fit, (left,), *_ = np.linalg.lstsq(X, h, rcond=None)
+    sigma = np.sqrt(np.diag(np.linalg.inv(X.T @ X)) * left / (len(x) - 3))
+    up = math.copysign(1.0, fit[0])
+    edge, rise, mean = up * fit[0], up * fit[1], up * (fit @ (1.0, 1.0 / 2.0, 1.0 / 3.0))
+    if edge < CHANCE * sigma[0] or rise < -CHANCE * sigma[1] or mean <= edge:
+        return 0.0
+    falls = brentq(lambda y: math.expm1(y) / y - mean / edge, 1e-6, 50.0)
+    return float(length.sum()) * float(edge) * band / max(falls, 1.0)
