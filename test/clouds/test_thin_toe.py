@@ -67,3 +67,21 @@ def test_the_line_of_a_dune_is_what_its_volume_lacks_and_that_of_a_cone_is_none(
     assert abs(true - found.net_m3) < 2.0 * found.sigma_m3 and line < 0.02 * true
     cone = of_file(lambda r: 0.4 * np.maximum(0.0, 1.0 - r / 0.5), seed, 0.003)
     assert "toe" not in cone.facts["budget_m6"]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("half", [(1.1, 1.1), (8.0, 1.1), (6.0, 6.0)])
+def test_boxes_on_a_grid_with_and_without_noise_have_a_volume(half, noise):
+    g = np.arange(-10.0, 10.01, 0.5)
+    x, y = (a.ravel() for a in np.meshgrid(g, g))
+    z = np.where((np.abs(x) <= half[0]) & (np.abs(y) <= half[1]), 2.0, 0.0)
+    z += np.random.default_rng(0).normal(0.0, 1.0, len(z)) * noise
+    found = lv.volume(np.column_stack([x, y, z]), base="ground")
+    assert math.sqrt(found.facts["budget_m6"].get("toe", 0.0)) < 0.05 * found.net_m3
+
+
+def test_two_rows_of_a_body_show_no_profile():
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(100.0), np.arange(4.0)))
+    z = np.where((y == 1.0) | (y == 2.0), 1.0 + 0.01 * np.sin(x), 0.0)
+    tin = build_tin(np.column_stack([x, y, z]))
+    assert volume_beyond(tin, (tin.vertices[tin.triangles, 2] > 0.5).all(axis=1), z) == 0.0

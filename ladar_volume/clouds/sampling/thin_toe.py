@@ -26,6 +26,8 @@ BAND, FEWEST = 0.35, 60
 PARTS = 9
 #: A height at the outline is one beyond so many standard deviations.
 CHANCE = 2.0
+#: Mean over height at the outline where it falls over one band; from where on the height is none.
+E_1, MOST = math.e - 1.0, 1e6
 
 
 def volume_beyond(tin: Tin, mask: Bool, height: F64) -> float:
@@ -48,11 +50,16 @@ def volume_beyond(tin: Tin, mask: Bool, height: F64) -> float:
         return 0.0
     x, h = d[near] / band, height[body[near]]
     X = np.stack([np.ones_like(x), x, x * x], axis=1)
-    fit, (left,), *_ = np.linalg.lstsq(X, h, rcond=None)
-    sigma = np.sqrt(np.diag(np.linalg.inv(X.T @ X)) * left / (len(x) - 3))
+    fit, _, rank, _ = np.linalg.lstsq(X, h, rcond=1e-6)
+    if rank < 3:  # two rows of a grid show no parabola
+        return 0.0
+    scatter = float(np.sum((h - X @ fit) ** 2)) / (len(x) - 3)
+    sigma = np.sqrt(np.diag(np.linalg.inv(X.T @ X)) * scatter)
     up = math.copysign(1.0, fit[0])
     edge, rise, mean = up * fit[0], up * fit[1], up * (fit @ (1.0, 1.0 / 2.0, 1.0 / 3.0))
-    if edge < CHANCE * sigma[0] or rise < -CHANCE * sigma[1] or mean <= edge:
+    if edge <= CHANCE * sigma[0] or rise < -CHANCE * sigma[1] or mean <= edge:
         return 0.0
-    falls = brentq(lambda y: math.expm1(y) / y - mean / edge, 1e-6, 50.0)
-    return float(length.sum()) * float(edge) * band / max(falls, 1.0)
+    steep = mean / edge
+    # a fall of less than one band is none of a toe; a height of nothing is none either
+    falls = brentq(lambda y: math.expm1(y) / y - steep, 1.0, 60.0) if E_1 < steep < MOST else 1.0
+    return float(length.sum()) * float(edge) * band / falls if steep < MOST else 0.0
