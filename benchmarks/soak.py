@@ -123,14 +123,15 @@ def site_flight(folder: Path, side_m: float) -> Path:
 
 @dataclass
 class Recorded:
-    """One message of the flight: when (ns from its start), what, and its bytes with the stamp's
-    distance from that moment.
+    """One message of the flight: when (ns from its start), what, its bytes with the stamp's
+    distance from that moment, and the returns of a cloud.
     """
 
     at_ns: int
     kind: str
     data: bytes
     stamp_ns: int
+    returns: int
 
 
 def flight(path: Path) -> tuple[list[Recorded], int]:
@@ -141,14 +142,10 @@ def flight(path: Path) -> tuple[list[Recorded], int]:
         for raw in bag.raw(set(roles)):
             data = bytes(raw.data)
             sec, nanosec = struct.unpack_from("<iI", data, 4)
-            out.append(
-                Recorded(
-                    raw.t_ns - bag.start_ns,
-                    roles[raw.topic],
-                    data,
-                    sec * S + nanosec - bag.start_ns,
-                )
-            )
+            role, message = roles[raw.topic], bag.message(raw)
+            returns = message.width * message.height if role == "cloud" else 0
+            at, stamp = raw.t_ns - bag.start_ns, sec * S + nanosec - bag.start_ns
+            out.append(Recorded(at, role, data, stamp, returns))
     return out, out[-1].at_ns + S
 
 
@@ -266,9 +263,7 @@ class Load(Node):
         if not self.heard(kind):  # the logger, or the node in question, is down
             self.unheard[kind] += 1
         self.sent[kind] += 1
-        if kind == "cloud":
-            message: Any = deserialize_message(data, PointCloud2)
-            self.returns += message.width * message.height
+        self.returns += one.returns
         if kind == "cloud" and fault != "lidar_stamps":
             self.flown.append((t_ns, time.monotonic()))
         self.out[kind].publish(stamped(data, t_ns))

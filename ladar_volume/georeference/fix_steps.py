@@ -57,7 +57,7 @@ class FixSteps:
             return
         step = step_in_window(np.array([(t - self._t[SIDE]) * 1e-9 for t in self._t]), self._p)
         size = float(np.linalg.norm(step))
-        if size > max(self._sizes, default=0.0):
+        if size > float(np.linalg.norm(self._largest[1])):
             self._largest = (self._t[SIDE], step)
         self._sizes.append(size)
         del self._t[0], self._p[0]
