@@ -63,9 +63,9 @@ def bag(path: Path) -> object:
 
 def survey(path: Path) -> object:
     """The epoch of a survey's file."""
-    from ladar_volume.io.surveys import read_survey
+    from ladar_volume.cli.epochs import survey_of
 
-    return read_survey(path)
+    return survey_of(path)
 
 
 def autopilot(path: Path) -> object:

@@ -185,7 +185,7 @@ def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
                     found[-1] |= _outcome(newest[0], found[-1])
                 newest = log_files(base)[-1:]
                 if n % 4:
-                    _wait(lambda path=newest[0]: path.stat().st_size > CLOUD_BYTES)  # type: ignore[misc]
+                    _wait(lambda path=newest[0]: path.stat().st_size > CLOUD_BYTES)
                 delay = rng.uniform(0.0, LONGEST_S)
                 time.sleep(delay if n < runs else 0.0)
             finally:

@@ -219,7 +219,7 @@ def run(n: int = 1_000_000) -> dict[str, float | int | str]:
     figures["bytes per point, input included"] = bytes_per_point(n)
     for part in (n // 10, n):
         points = hills(part)
-        seconds = cpu_s(lambda points=points: adaptive_tin(points), 3 if part < n else 1)  # type: ignore[misc]
+        seconds = cpu_s(lambda points=points: adaptive_tin(points), 3 if part < n else 1)
         figures[f"a third of {part} points, greedily / CPU s"] = seconds
         figures[f"a third of {part} points: CPU ns / (n log2 n)"] = (
             1e9 * seconds / (part * np.log2(part))

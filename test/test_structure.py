@@ -10,6 +10,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "ladar_volume"
 TESTS = Path(__file__).parent
+BENCHMARKS = PACKAGE.parent / "benchmarks"
 #: Rooms in the order of the data flow: each imports only from those before it (and itself).
 CORE = [
     "math",
@@ -42,8 +43,8 @@ MODULES = 20
 ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 2, 3, 63
 LINES, TALL = 40, 7
 #: Private members that tests reach into: of argparse, IPython and dask, and one seam of a node that
-#: no ROS graph is started for. It only goes down. Characters of a line without its pragma, and
-#: places that are not formatted.
+#: no ROS graph is started for. It only goes down. Characters of a line, and places
+#: that are not formatted.
 PRIVATE, WIDTH, UNFORMATTED = 14, 100, 20
 
 
@@ -187,16 +188,22 @@ def test_tests_touch_few_private_members():
     assert len(found) <= PRIVATE, "\n".join(found)
 
 
-def is_long(line):
-    pragma = min(
-        (line.find(w) for w in ("  # type: ignore", "  # noqa") if w in line), default=None
-    )
-    return len(line[:pragma]) > WIDTH
+def test_no_test_imports_another_or_changes_where_python_looks():
+    """What tests share is in ``test/scenes``. The one path that is set is that of a process which a
+    test starts.
+    """
+    for path in sorted(TESTS.rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        found = [n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
+        found += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+        assert not [m for m in found if m.split(".")[-1].startswith("test_")], path
+        assert not [n for n in ast.walk(tree) if ast.unparse(n).startswith("sys.path.")], path
 
 
 def test_lines_are_short_and_formatted():
-    texts = {p: p.read_text() for p in [*FILES, *sorted(TESTS.rglob("*.py"))]}
-    long = [p for p, text in texts.items() if any(map(is_long, text.split("\n")))]
+    more = [p for folder in (TESTS, BENCHMARKS) for p in sorted(folder.rglob("*.py"))]
+    texts = {p: p.read_text() for p in [*FILES, *more]}
+    long = [p for p, text in texts.items() if any(len(t) > WIDTH for t in text.split("\n"))]
     assert not long
     assert sum(text.count("# fmt: " + "skip") for text in texts.values()) <= UNFORMATTED
 

@@ -31,7 +31,7 @@ from ladar_volume.cli.tables.result_table import budget_table, volume_rows
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io import results
 from ladar_volume.io.output_set import output_set
-from ladar_volume.io.surveys import Survey, between_datums, read_survey
+from ladar_volume.io.surveys import SavedSurvey, between_datums, read_survey
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import ConfigurationError
@@ -39,9 +39,18 @@ from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.version import version
+from ladar_volume.volume.estimator import VolumeEstimator
 
 #: What the verb writes.
 FILES = ("epochs.json", "change.ply", "change.png")
+
+
+@dataclasses.dataclass(frozen=True)
+class Survey:
+    """A survey that is compared: what was saved of it, and its surface with its error sources."""
+
+    saved: SavedSurvey
+    epoch: Epoch
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,7 +71,7 @@ def _compare_files(arguments: argparse.Namespace, folder: Path, console: Console
     corners, stable = plan_of(arguments.polygon), plan_of(arguments.stable)
     separate = CALIBRATION_GROUPS if "all" in arguments.separate else tuple(arguments.separate)
     with console.status("reading") as status:
-        previous, new = read_survey(arguments.previous), read_survey(arguments.new)
+        previous, new = survey_of(arguments.previous), survey_of(arguments.new)
         later = in_previous_frame(new, previous, arguments.transform)
         status.update("comparing")
         found = compare_epochs(later, previous.epoch, separate, corners, stable)
@@ -84,6 +93,14 @@ def _compare_files(arguments: argparse.Namespace, folder: Path, console: Console
         title = f"{arguments.new.name} against {arguments.previous.name}"
         save(found.difference.volume, found.change, title, folder / "change.png")
     return facts
+
+
+def survey_of(path: Path) -> Survey:
+    """The survey in a folder, or in a file result.mcap. Raises as
+    :func:`~ladar_volume.io.surveys.read_survey`.
+    """
+    s = read_survey(path)
+    return Survey(s, VolumeEstimator.from_updates(s.parameters, s.navigation, s.updates).epoch())
 
 
 def write_change(folder: Path, change: ChangeMap) -> None:
@@ -111,7 +128,7 @@ def input_verdict(previous: Survey, new: Survey, transform: Path | None) -> Verd
     """What the surveys' own verdicts and that of the transform say."""
     out = Verdict() if transform is None else read_transform_verdict(transform)
     for name, survey in (("previous", previous), ("new", new)):
-        own = survey.result.get("verdict")
+        own = survey.saved.result.get("verdict")
         reasons = own.get("reasons", []) if isinstance(own, Mapping) else []
         out += Verdict(
             tuple(Doubt(r["name"], f"{name}: {r['text']}", r.get("value")) for r in reasons)
@@ -125,9 +142,10 @@ def in_previous_frame(new: Survey, previous: Survey, transform: Path | None) -> 
     """
     if transform is not None:
         return dataclasses.replace(new.epoch, transform=read_transform(transform))
-    if new.datum is not None and previous.datum is not None:
-        return dataclasses.replace(new.epoch, transform=between_datums(new.datum, previous.datum))
-    if new.datum is None and previous.datum is None:
+    here, there = new.saved.datum, previous.saved.datum
+    if here is not None and there is not None:
+        return dataclasses.replace(new.epoch, transform=between_datums(here, there))
+    if here is None and there is None:
         return new.epoch
     raise ConfigurationError("one survey has a datum and the other has none: give --transform")
 
@@ -181,8 +199,8 @@ def difference_facts(
 def survey_facts(survey: Survey) -> dict[str, Any]:
     """Where a survey came from."""
     return {
-        "path": str(survey.path),
-        "input": survey.result.get("input"),
+        "path": str(survey.saved.path),
+        "input": survey.saved.result.get("input"),
         "t_ns": survey.epoch.t_ns,
     }
 

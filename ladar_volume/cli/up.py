@@ -26,10 +26,11 @@ from ladar_volume.io.bags import ROLES, wanted_topics
 from ladar_volume.io.config import dump_config, read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
-from ladar_volume.io.surveys import read_estimator
+from ladar_volume.io.surveys import read_survey
 from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.process.numpy_names import hide_numpy_tools
+from ladar_volume.volume.estimator import VolumeEstimator
 
 if TYPE_CHECKING:  # ROS is loaded where the graph begins
     from ladar_volume.nodes.graph import Graph
@@ -102,7 +103,8 @@ def write_saved(
     saved: Path, folder: Path, result: dict[str, Any], arguments: argparse.Namespace
 ) -> None:
     """The files of ``replay``, of the survey that volume_node saved."""
-    _, estimator, _, _ = read_estimator(saved)
+    survey = read_survey(saved)
+    estimator = VolumeEstimator.from_updates(survey.parameters, survey.navigation, survey.updates)
     estimate = estimator.estimate(naive=False)
     write_outputs(
         folder,

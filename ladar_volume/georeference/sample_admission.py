@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.georeference import error_budget as bud
 from ladar_volume.model.errors import AttitudeError, FixError, InputError
@@ -18,7 +19,7 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
 
 #: A float32 quaternion is off by 1e-7, a filter that lost its normalisation by far more.
-UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-2
 #: A step forward longer than this (s) needs a second sample that confirms it: one corrupt stamp
 #: must not shut out what follows.
 JUMP_S = 10.0
@@ -67,7 +68,10 @@ def _unknown(topic: str, policy: str, error: type[InputError]) -> None:
         )
 
 
-def _unit_quaternion(q: F64, topic: str) -> F64:
+def unit_quaternion(q: npt.ArrayLike, topic: str) -> F64:
+    """A quaternion (4,) xyzw of norm 1. Raises :class:`AttitudeError` for one that is not finite
+    (``<topic>_nan``) or whose norm is off by more than UNIT_TOLERANCE (``<topic>_not_unit``).
+    """
     q = np.asarray(q, dtype=np.float64)
     if q.shape != (4,) or not np.isfinite(q).all():
         raise AttitudeError(
@@ -112,7 +116,7 @@ def imu_attitude(imu: ImuSample, budget: BudgetParameters, policy: str) -> tuple
             "the IMU gives no orientation (orientation_covariance[0] = -1)",
             reason="imu_no_orientation",
         )
-    q = _unit_quaternion(imu.q_map_body, "imu")
+    q = unit_quaternion(imu.q_map_body, "imu")
     # a wholly missing rate is taken from the attitudes around
     if np.shape(imu.omega_body) != (3,) or not (
         np.isfinite(imu.omega_body).all() or np.isnan(imu.omega_body).all()
@@ -131,7 +135,7 @@ def odometry_pose(sample: OdometrySample, budget: BudgetParameters, policy: str)
     """Unit quaternion (4,) and C (6, 6) of position (map) and body rotation vector. Raises
     :class:`AttitudeError`.
     """
-    q = _unit_quaternion(sample.q_map_body, "odometry")
+    q = unit_quaternion(sample.q_map_body, "odometry")
     p, omega = sample.p_map_body, sample.omega_body
     shaped = np.shape(p) == np.shape(omega) == (3,)
     # rates that are all NaN are unknown: the trajectory takes them from the attitudes

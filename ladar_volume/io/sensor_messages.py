@@ -6,15 +6,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from ladar_volume.georeference.sample_admission import unit_quaternion
 from ladar_volume.io.cloud_messages import stamp_ns
 from ladar_volume.io.frames.moving_frames import TransformPoses
 from ladar_volume.io.frames.static_frames import TFMessage
 from ladar_volume.model.errors import AttitudeError, FixError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
-
-#: A quaternion whose norm is off by more than this is not an attitude.
-NORM_TOLERANCE = 1e-2
 
 
 def _covariance(values: Any, size: int) -> F64 | None:
@@ -47,17 +45,7 @@ def fix_from_message(message: Any) -> Fix:
 
 
 def _quaternion(q: Any, unit: str) -> F64:
-    values = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
-    norm = float(np.linalg.norm(values))
-    if not np.isfinite(norm):
-        raise AttitudeError(
-            f"quaternion is not finite: {values}", reason=f"{unit}_nan", value=values
-        )
-    if abs(norm - 1.0) > NORM_TOLERANCE:
-        raise AttitudeError(
-            f"quaternion norm is {norm:.4g}, not 1", reason=f"{unit}_not_unit", value=values
-        )
-    return values / norm
+    return unit_quaternion((q.x, q.y, q.z, q.w), unit)
 
 
 def _vector(v: Any) -> F64:

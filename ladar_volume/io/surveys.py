@@ -32,7 +32,6 @@ from ladar_volume.registration.transform import Transform
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.packing import unpack_patches
-from ladar_volume.volume.estimator import VolumeEstimator
 
 #: Name of the file in a results folder, and of its metadata record.
 FILE, RECORD = "result.mcap", "ladar_volume"
@@ -43,13 +42,16 @@ SURVEY = ("points_filtered", "patches", "navigation")
 
 
 @dataclass(frozen=True)
-class Survey:
-    """path · epoch : the surface with its sources · datum : origin of its map frame, None where it
-    is not known · result : as in result.json
+class SavedSurvey:
+    """path : of result.mcap · parameters : of the survey · navigation : the platform's covariance
+    and mean pose by time bin · updates : the filtered surface, as the filter gave it · datum :
+    origin of its map frame, None where it is not known · result : as in result.json
     """
 
     path: Path
-    epoch: Epoch
+    parameters: Parameters
+    navigation: NavigationBins
+    updates: tuple[FilterUpdate, ...]
     datum: Datum | None
     result: Mapping[str, Any]
 
@@ -178,17 +180,8 @@ def _settings(
     return given, datum, sums
 
 
-def read_survey(path: str | Path) -> Survey:
-    """A survey from result.mcap, or from its folder. Raises as :func:`read_estimator`."""
-    file, estimator, datum, result = read_estimator(path)
-    return Survey(file, estimator.epoch(), datum, result)
-
-
-def read_estimator(
-    path: str | Path,
-) -> tuple[Path, VolumeEstimator, Datum | None, dict[str, Any]]:
-    """The file result.mcap, or that in the folder; the estimator with its surface, the datum, and
-    the result as in result.json.
+def read_survey(path: str | Path) -> SavedSurvey:
+    """A survey from result.mcap, or from its folder.
 
     Raises :class:`InputError` (survey_missing; survey_file for a file that is none, or is of a
     version that did not keep the surface), BagError and CloudError for a damaged one.
@@ -209,12 +202,12 @@ def read_estimator(
             value=str(path),
         ) from error
     parameters = Parameters.read(given, old=True)
-    estimator = VolumeEstimator(
-        parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *sums)
+    bins = NavigationBins.from_sums(parameters.filter.nav_bin_s, *sums)
+    updates = tuple(
+        message_tables.filter_update(message_tables.filtered_points(one), two)
+        for one, two in zip(points, patches, strict=True)
     )
-    for one, two in zip(points, patches, strict=True):
-        estimator.add(message_tables.filter_update(message_tables.filtered_points(one), two))
-    return file, estimator, datum, result
+    return SavedSurvey(file, parameters, bins, updates, datum, result)
 
 
 def read_result(file: Path) -> dict[str, Any]:

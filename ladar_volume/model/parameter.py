@@ -223,7 +223,8 @@ def read_section(
         if key not in by_key:
             raise _unknown(section, str(key), list(by_key))
         changes[by_key[key].name] = convert(section, by_key[key], value)
-    return dataclasses.replace(start if start is not None else cls(), **changes)  # type: ignore[type-var]
+    before = start if start is not None else cls()
+    return dataclasses.replace(before, **changes)  # type: ignore[type-var]
 
 
 def write_section(parameters: object) -> dict[str, Any]:

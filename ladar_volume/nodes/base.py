@@ -14,6 +14,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -454,7 +455,7 @@ class StageNode(LifecycleNode, ABC):
                 break
             kind, payload = item
             self._busy, began = True, time.monotonic()
-            self._run_guarded(lambda kind=kind, payload=payload: self.work(kind, payload))  # type: ignore[misc]
+            self._run_guarded(partial(self.work, kind, payload))
             self._run_guarded(self.idle)
             self.health.record_work(kind, time.monotonic() - began, _stamp(payload))
             self._busy = False

@@ -107,7 +107,8 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
         if node.kernels is not None and is_own_process():
             without_blas()
         if not node.autostart():
-            print(f"ladar_volume: {node.get_name()}: {node.failure}", file=sys.stderr)  # noqa: T201 - for who started it
+            # for who started it
+            print(f"ladar_volume: {node.get_name()}: {node.failure}", file=sys.stderr)  # noqa: T201
             node.destroy_node()
             return 2
         spinner = Spinner(node)
@@ -115,7 +116,8 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
             continue
         spinner.close()
     except ConfigurationError as error:
-        print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201 - before any node exists there is no logger
+        # before any node exists there is no logger
+        print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201
         return 2
     finally:
         rclpy.try_shutdown()

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
@@ -177,7 +178,7 @@ def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box) -> OpenSides:
     return OpenSides(corners[~inside], reach[~inside], xy[hull])
 
 
-def intruders(sides: OpenSides, points: F64, box: Box, known: Bool) -> I64:
+def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
     """Rows of points (k, 3) of a tile, whose box is given, that speak against the open sides."""
     x0, y0, x1, y1 = box
     r, w, xy = sides.reach, workspace(), np.ascontiguousarray(points[:, :2])
@@ -268,7 +269,7 @@ class Neighbourhood:
         added = 0
         for tile, box in self.index.box.items():
             if tile != self.tile and reaches(sides, box):
-                added += self.take(tile, lambda p, known, b=box: intruders(sides, p, b, known))  # type: ignore[misc]
+                added += self.take(tile, partial(intruders, sides, box))
         return added
 
     def take_some(self) -> int:

@@ -28,7 +28,7 @@ from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError, short_repr
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.model.verdict import Doubt
 
 #: Points read at a time: about 100 bytes each while they are sorted.
@@ -160,9 +160,12 @@ def distribute_part(cloud: CloudParts, k: int) -> Path:
     rows = np.split(r, new[1:]) if len(new) else []
     boxes = [(*own[:, :2].min(axis=0), *own[:, :2].max(axis=0)) for own in rows]
     notes = {"left_out": left_out, "doubts": [asdict(d) for d in doubts]}
-    arrays = {f"{i}_{j}": own for (i, j), own in zip(cells[new].tolist(), rows, strict=True)}
+    arrays: dict[str, F64 | I32] = {
+        f"{i}_{j}": own for (i, j), own in zip(cells[new].tolist(), rows, strict=True)
+    }
     places = np.split(order.astype(np.int32), new[1:]) if len(new) else []
-    arrays |= {f"row_{i}_{j}": own for (i, j), own in zip(cells[new].tolist(), places, strict=True)}  # type: ignore[misc]
+    for (i, j), place in zip(cells[new].tolist(), places, strict=True):
+        arrays[f"row_{i}_{j}"] = place
     archive.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(archive) as path, path.open("wb") as file:
         np.savez(

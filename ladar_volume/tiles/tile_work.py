@@ -66,14 +66,16 @@ class DaskWorkers:
     @property
     def memory_bytes(self) -> int | None:
         """Memory of the smallest worker, None where none has a limit."""
-        known = self.client.scheduler_info(n_workers=-1)["workers"].values()  # type: ignore[attr-defined]
+        info = self.client.scheduler_info(n_workers=-1)  # type: ignore[attr-defined]
+        known = info["workers"].values()
         return min((w["memory_limit"] for w in known if w["memory_limit"]), default=None)
 
     def run(self, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
         """The results as workers return them; a task whose worker is lost goes to another one."""
         from distributed import CancelledError, KilledWorker, as_completed
 
-        futures = self.client.map(partial(alone, task), of, pure=False, retries=LOSSES)  # type: ignore[attr-defined]
+        start = self.client.map  # type: ignore[attr-defined]
+        futures = start(partial(alone, task), of, pure=False, retries=LOSSES)
         for future in as_completed(futures):  # type: ignore[no-untyped-call]
             try:
                 yield future.result()

@@ -5,9 +5,10 @@ one process gives.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -22,6 +23,8 @@ from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.volume.base import MAX_ROUNDS
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,8 @@ class OutlineFinder:
             )
             raise GroundError(words, reason="ground_none_around", value=0) from error
 
-    def _ask(self, op: object, more: Sequence[tuple[object, ...]]) -> list:  # type: ignore[type-arg]
-        return ask(self.fitter.workers, self.fitter.of, op, more)  # type: ignore[arg-type]
+    def _ask(self, op: Callable[..., R], more: Sequence[tuple[object, ...]]) -> list[R]:
+        return ask(self.fitter.workers, self.fitter.of, op, more)
 
     def _inside(self, fit: TiledFit) -> tuple[Path, str, list[Box | None]]:
         """The outline above a ground: its folder, a digest of which triangles are inside, and the

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -80,6 +80,18 @@ class VolumeEstimator:
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
         self._unseen_m6 = 0.0
         self._t_ns = 0
+
+    @classmethod
+    def from_updates(
+        cls, parameters: Parameters, navigation: NavigationBins, updates: Iterable[FilterUpdate]
+    ) -> VolumeEstimator:
+        """The estimator of a surface that was kept, with the covariance of the platform by time
+        bin.
+        """
+        estimator = cls(parameters, navigation)
+        for update in updates:
+            estimator.add(update)
+        return estimator
 
     def set_parameters(self, parameters: Parameters) -> None:
         """Another base, outline or ground for the next estimate; the surface stays."""

@@ -45,7 +45,7 @@ def test_a_covariance_survives_the_file(size, tmp_path):
 def test_without_correlations_it_is_diagonal():
     C = calibration_covariance(BudgetParameters(), BEAMS)
     assert np.array_equal(C, np.diag(np.diag(C)))
-    assert calibration_covariance(BudgetParameters(), BEAMS, "odometry")[7:10].any() == False  # noqa: E712
+    assert not calibration_covariance(BudgetParameters(), BEAMS, "odometry")[7:10].any()
 
 
 def test_odometry_has_no_antenna_whatever_the_correlations():

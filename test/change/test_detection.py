@@ -12,11 +12,12 @@ from volume_surfaces import platform, surface_update
 
 from ladar_volume.change.change_detection import change_map, threshold_volumes, weighted_sigma
 from ladar_volume.change.epoch_change import epoch_difference
+from ladar_volume.cli.epochs import survey_of
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import read_mesh
 from ladar_volume.io.pointfiles.ply import read_ply
 from ladar_volume.io.results import result_dict
-from ladar_volume.io.surveys import between_datums, read_survey, write_survey
+from ladar_volume.io.surveys import between_datums, write_survey
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum
@@ -274,7 +275,7 @@ def test_a_survey_without_its_surface_is_refused(tmp_path, capsys):
 
 def test_a_survey_on_disk_keeps_every_bit_of_the_surface(tmp_path):
     e = survey(tmp_path / "a", pit, seed=3)
-    kept, whole = read_survey(tmp_path / "a").epoch, e.epoch()
+    kept, whole = survey_of(tmp_path / "a").epoch, e.epoch()
     assert kept.tin.vertices.tobytes() == whole.tin.vertices.tobytes() and kept.t_ns == whole.t_ns
     g = np.zeros_like(whole.tin.vertices)
     g[:, 2] = 1.0

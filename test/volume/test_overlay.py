@@ -8,6 +8,7 @@ import dataclasses
 import itertools
 import math
 from fractions import Fraction
+from functools import partial
 
 import numba
 import numpy as np
@@ -95,6 +96,16 @@ def plane_through(p):
     return z0 - gx * x0 - gy * y0, gx, gy
 
 
+def turn(a, b, p):
+    """Twice the signed area of a, b, p."""
+    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+
+
+def signed(sign, plane, p):
+    """The signed height of a plane at p."""
+    return sign * (plane[0] + plane[1] * p[0] + plane[2] * p[1])
+
+
 def exact(upper, lower):
     """Cut, fill and area by clipping every triangle with every other, without rounding."""
     rows = [
@@ -111,23 +122,16 @@ def exact(upper, lower):
             ring = [p[:2] for p in a]
             for k in range(3):
                 (x0, y0), (x1, y1) = b[k][:2], b[(k + 1) % 3][:2]
-                ring = (
-                    exact_clip(ring, lambda p: (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0))  # noqa: B023
-                    if ring
-                    else ring
-                )
+                leftward = partial(turn, (x0, y0), (x1, y1))
+                ring = exact_clip(ring, leftward) if ring else ring
             pb = plane_through(b)
             d = [u - v for u, v in zip(pa, pb, strict=True)]
             for side, sign in ((0, 1), (1, -1)):
-                part = (
-                    exact_clip(ring, lambda p: sign * (d[0] + d[1] * p[0] + d[2] * p[1]))  # noqa: B023
-                    if ring
-                    else []
-                )
+                part = exact_clip(ring, partial(signed, sign, d)) if ring else []
                 for i in range(1, len(part) - 1):
                     p, q, r = part[0], part[i], part[i + 1]
-                    area = ((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])) / 2
-                    mean = sum(sign * (d[0] + d[1] * s[0] + d[2] * s[1]) for s in (p, q, r)) / 3
+                    area = turn(p, q, r) / 2
+                    mean = sum(signed(sign, d, s) for s in (p, q, r)) / 3
                     total[side] += area * mean
                     total[2] += area
     return [float(t) for t in total]

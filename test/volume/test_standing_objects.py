@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.volume.field_checks.standing_objects import Steps, any_step, standing_parts
-from test.volume.test_field_checks import TRUE_M3, estimated, estimator_of, names, pile
+from test.scenes.cone_pile import TRUE_M3, estimated, estimator_of, names, pile
 
 
 def with_boxes(*boxes):

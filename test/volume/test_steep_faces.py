@@ -10,8 +10,8 @@ from ladar_volume.model.records import Tin
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.field_checks.steep_faces import edge_doubts, steep_faces
+from test.scenes.cone_pile import estimated, names, pile
 from test.scenes.surveyed_box import states, survey_of_a_box
-from test.volume.test_field_checks import estimated, names, pile
 
 LONG, BOX_M3 = 2.0, 2.0 * 1.5 * 1.2
 

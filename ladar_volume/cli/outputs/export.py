@@ -11,6 +11,8 @@ from ladar_volume.cli.arguments.lines import shown_name
 from ladar_volume.cli.outputs.file_choice import checked_choice, show_written
 from ladar_volume.io.export.export_set import write_export
 from ladar_volume.io.export.survey_surface import survey_deliverable
+from ladar_volume.io.surveys import read_survey
+from ladar_volume.volume.estimator import VolumeEstimator
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -19,7 +21,9 @@ def run(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.result
     console = Console()
     with console.status(f"reading {shown_name(folder.name)}") as status:
-        survey = survey_deliverable(folder, arguments.crs)
+        saved = read_survey(folder)
+        estimator = VolumeEstimator.from_updates(saved.parameters, saved.navigation, saved.updates)
+        survey = survey_deliverable(saved, estimator, arguments.crs)
         status.update("writing")
         written = write_export(arguments.output, survey, wanted)
     scale = survey.system.scale

@@ -25,30 +25,34 @@ from ladar_volume.io.export.output_system import (
     plain_words,
     projection,
 )
-from ladar_volume.io.surveys import read_estimator
+from ladar_volume.io.surveys import SavedSurvey
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, Datum
 from ladar_volume.uncertainty.volume_budget import vertical_sigma
 from ladar_volume.volume.base import polygon_of
+from ladar_volume.volume.estimator import VolumeEstimator
 
 #: The volume computed again may differ from that in the result by this part, and by this length
 #: over its area: covariances, which weight the ground, are kept to 1e-7.
 SAME, SAME_M = 1e-6, 1e-6
 
 
-def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
-    """The survey in a folder; in its own east, north, up, or in a projected system in metres.
+def survey_deliverable(
+    saved: SavedSurvey, estimator: VolumeEstimator, crs: str | None = None
+) -> Deliverable:
+    """A saved survey, with the estimator of its surface; in its own east, north, up, or in a
+    projected system in metres.
 
-    Raises :class:`InputError` for a folder without a result (survey_missing, survey_file), for a
-    system that does not fit (input_crs), and as :func:`~ladar_volume.io.surveys.read_estimator`.
+    Raises :class:`InputError` where the surface gives another volume than the result
+    (survey_file), and for a system that does not fit (input_crs).
     """
-    file, estimator, datum, result = read_estimator(folder)
+    result = saved.result
     estimate = estimator.estimate(naive=False)
-    check_same(file, estimate.volume.volume_m3, result)
+    check_same(saved.path, estimate.volume.volume_m3, result)
     sources = estimator.epoch().sources
     tin, points = estimate.tin, sources.points
     sigma = vertical_sigma(sources, np.arange(len(points)))
-    system, at = output_transform(datum, crs)
+    system, at = output_transform(saved.datum, crs)
     own = dataclasses.replace(tin, vertices=at(tin.vertices))
     # heights above the base are kept: the survey's up and the normal of the ellipsoid differ by
     # the angle that the site takes up on the earth

@@ -9,6 +9,7 @@ from collections import deque
 
 import numpy as np
 
+from ladar_volume.georeference.sample_admission import unit_quaternion
 from ladar_volume.io.cloud_messages import stamp_ns
 from ladar_volume.io.frames.static_frames import Pose, TFMessage, TransformStamped, angle_between
 from ladar_volume.math.se3 import matrix_from_quaternion, quaternion_from_matrix, slerp
@@ -23,8 +24,6 @@ REMEMBERED = 1000
 LONGEST_GAP_NS = 500_000_000
 #: A map that moves by more than this against odom was corrected, m and rad.
 MOVED_M, MOVED_RAD = 0.05, math.radians(0.5)
-#: A quaternion whose norm is off by more than this is none.
-NORM_TOLERANCE = 1e-2
 
 
 def pose_of(one: TransformStamped) -> tuple[F64, F64]:
@@ -32,14 +31,10 @@ def pose_of(one: TransformStamped) -> tuple[F64, F64]:
     odometry_not_unit.
     """
     t, q = one.transform.translation, one.transform.rotation
-    place, turn = np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
-    norm = float(np.linalg.norm(turn))
-    if not (np.isfinite(place).all() and math.isfinite(norm)):
+    place = np.array([t.x, t.y, t.z])
+    if not np.isfinite(place).all():
         raise AttitudeError("a transform is not finite", reason="odometry_nan", value=place)
-    if abs(norm - 1.0) > NORM_TOLERANCE:
-        words = f"quaternion norm is {norm:.4g}, not 1"
-        raise AttitudeError(words, reason="odometry_not_unit", value=norm)
-    return turn / norm, place
+    return unit_quaternion((q.x, q.y, q.z, q.w), "odometry"), place
 
 
 def product(a: Pose, b: Pose) -> Pose:

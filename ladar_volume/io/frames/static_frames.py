@@ -8,14 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
+from ladar_volume.georeference.sample_admission import unit_quaternion
 from ladar_volume.math.se3 import matrix_from_quaternion
-from ladar_volume.model.errors import InputError
+from ladar_volume.model.errors import AttitudeError, InputError
 from ladar_volume.model.records import F64
 
 #: The topic, and its type.
 TOPIC, KIND = "tf_static", "tf2_msgs/msg/TFMessage"
-#: A quaternion whose norm is off by more than this is none.
-NORM_TOLERANCE = 1e-2
 
 
 class Vector(Protocol):
@@ -78,17 +77,18 @@ class StaticFrames:
         """
         for one in message.transforms:
             t, q = one.transform.translation, one.transform.rotation
-            place, turn = np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
-            norm = float(np.linalg.norm(turn))
-            child = one.child_frame_id.lstrip("/")
-            if not np.isfinite(place).all() or not abs(norm - 1.0) <= NORM_TOLERANCE:
+            place, child = np.array([t.x, t.y, t.z]), one.child_frame_id.lstrip("/")
+            try:
+                turn = unit_quaternion((q.x, q.y, q.z, q.w), f"static transform to {child!r}")
+            except AttitudeError as error:
+                raise InputError(str(error), reason="tf_transform", value=child) from error
+            if not np.isfinite(place).all():
                 raise InputError(
-                    f"static transform to {child!r}: place {place.tolist()}, norm of the "
-                    f"quaternion {norm:.4g}",
+                    f"static transform to {child!r}: place {place.tolist()}",
                     reason="tf_transform",
                     value=child,
                 )
-            pose = matrix_from_quaternion(turn / norm), place
+            pose = matrix_from_quaternion(turn), place
             self._parents[child] = (one.header.frame_id.lstrip("/"), pose)
 
     def _to_root(self, frame: str) -> dict[str, Pose]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ladar_volume.georeference.sample_admission import unit_quaternion
 from ladar_volume.io.mavlink.mavlink_frames import (
     D,
     S,
@@ -22,8 +22,6 @@ from ladar_volume.model.errors import AttitudeError, InputError
 from ladar_volume.model.records import F64, OdometrySample
 
 UNKNOWN_U32 = 2**32 - 1
-#: A quaternion whose norm is off by more than this is not an attitude.
-NORM_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -43,19 +41,6 @@ def accuracy_covariance(h_mm: int, v_mm: int, radial: bool) -> F64 | None:
         return None
     axis = (h_mm * 1e-3) ** 2 * (0.5 if radial else 1.0)
     return np.diag([axis, axis, (v_mm * 1e-3) ** 2])
-
-
-def unit_quaternion(xyzw: tuple[float, float, float, float], unit: str) -> F64:
-    """A quaternion (4,) xyzw. Raises AttitudeError: ``<unit>_nan``, ``<unit>_not_unit``."""
-    q = np.array(xyzw, dtype=np.float64)
-    norm = float(np.linalg.norm(q))
-    if not math.isfinite(norm):
-        raise AttitudeError("quaternion is not finite", reason=f"{unit}_nan", value=xyzw)
-    if abs(norm - 1.0) > NORM_TOLERANCE:
-        raise AttitudeError(
-            f"quaternion norm is {norm:.4g}, not 1", reason=f"{unit}_not_unit", value=xyzw
-        )
-    return q / norm
 
 
 def odometry_sample(t_ns: int, m: Any, north: bool) -> OdometrySample:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import all as dialect
 
+from ladar_volume.georeference.sample_admission import unit_quaternion
 from ladar_volume.io.mavlink.mavlink_clock import ClockInUse, ClockOffset, S
 from ladar_volume.io.mavlink.mavlink_frames import (
     enu_flu_from_ned_frd,
@@ -28,7 +29,6 @@ from ladar_volume.io.mavlink.mavlink_poses import (
     accuracy_covariance,
     inertial_sample,
     odometry_sample,
-    unit_quaternion,
 )
 from ladar_volume.model.errors import (
     AttitudeError,

@@ -8,10 +8,12 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.georeference.sample_admission import unit_quaternion
 from ladar_volume.io.pointfiles.crs import Coordinates, coordinates_of, crs_of_text
 from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
 from ladar_volume.io.pointfiles.units import METRE
-from ladar_volume.model.errors import CloudError, InputError
+from ladar_volume.math.se3 import matrix_from_quaternion
+from ladar_volume.model.errors import AttitudeError, CloudError, InputError
 from ladar_volume.model.records import F64
 
 #: A node of libE57's tree, or the file itself; pye57 has no types.
@@ -169,28 +171,16 @@ def values_of(node: Node, names: str) -> F64:
 
 
 def apply_pose(scan: Node, r: F64) -> F64:
-    """Points (n, 3) of a scan in the frame of the file: turned by its quaternion w, x, y, z, then
-    shifted.
-    """
+    """Points (n, 3) of a scan in the frame of the file: turned by its quaternion, then shifted."""
     if not scan.isDefined("pose"):
         return r
     pose = child(scan, "pose")
     if pose.isDefined("rotation"):
-        q = values_of(child(pose, "rotation"), "wxyz")
-        length = float(np.linalg.norm(q))
-        if not abs(length - 1.0) < 1e-3:
-            raise CloudError(
-                f"a pose whose quaternion has the length {length:.6g}", reason="cloud_values"
-            )
-        w, x, y, z = q / length
-        R = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        r = r @ R.T
+        try:
+            q = unit_quaternion(values_of(child(pose, "rotation"), "xyzw"), "a pose")
+        except AttitudeError as error:
+            raise CloudError(str(error), reason="cloud_values") from error
+        r = r @ matrix_from_quaternion(q).T
     if pose.isDefined("translation"):
         r = r + values_of(child(pose, "translation"), "xyz")
     return r
