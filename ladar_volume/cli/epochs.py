@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -30,6 +31,7 @@ from ladar_volume.cli.diff_input import given_corners
 from ladar_volume.cli.tables.result_table import budget_table, volume_rows
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io import results
+from ladar_volume.io.meshfiles.tin_files import write_columns
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import SavedSurvey, between_datums, read_survey
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
@@ -113,9 +115,8 @@ def write_change(folder: Path, change: ChangeMap) -> None:
         "level_m",
         "significant",
     )
-    results.write_columns(
-        folder / "change.ply", change.tin, {name: getattr(change, name) for name in columns}
-    )
+    values = {name: np.asarray(getattr(change, name), np.float32) for name in columns}
+    write_columns(folder / "change.ply", change.tin, values)
 
 
 def plan_of(corners: list[str] | None) -> F64 | None:

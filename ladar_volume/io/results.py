@@ -14,6 +14,7 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import degree_of, tilt_of
 from ladar_volume.io.atomic_write import atomic_file, unwritable
+from ladar_volume.io.meshfiles.tin_files import write_columns
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
@@ -219,30 +220,4 @@ def write_ply(path: Path, tin: Tin, sigma_z: Any) -> None:
     """The relevant triangles as binary PLY, double coordinates, with the sigma of each vertex's
     height (m).
     """
-    write_columns(path, tin, {"sigma_z": sigma_z})
-
-
-def write_columns(path: Path, tin: Tin, columns: Mapping[str, Any]) -> None:
-    """The relevant triangles as binary PLY, double coordinates, with columns (n,) of the vertices
-    as float. Raises OutputError.
-    """
-    triangles = tin.triangles[tin.relevant]
-    used, inverse = np.unique(triangles, return_inverse=True)
-    vertex = np.empty(
-        len(used), [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in columns]
-    )
-    vertex["x"], vertex["y"], vertex["z"] = tin.vertices[used].T
-    for name, values in columns.items():
-        vertex[name] = np.asarray(values)[used]
-    face = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", 3)])
-    face["n"], face["v"] = 3, inverse.reshape(-1, 3)
-    properties = [f"property double {axis}" for axis in "xyz"] + [
-        f"property float {name}" for name in columns
-    ]
-    header = (
-        "ply\nformat binary_little_endian 1.0\nelement vertex "
-        f"{len(vertex)}\n{chr(10).join(properties)}\n"
-        f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    with atomic_file(path) as part:
-        part.write_bytes(header.encode() + vertex.tobytes() + face.tobytes())
+    write_columns(path, tin, {"sigma_z": np.asarray(sigma_z, np.float32)})

@@ -24,8 +24,8 @@ from ladar_volume.experiments import thesis, thesis_scene
 from ladar_volume.ground.objects import find_objects
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
-from ladar_volume.io.meshfiles.ply_mesh import parse_header
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
+from ladar_volume.io.pointfiles.ply_elements import read_header
 from ladar_volume.mesh.local_mesh import BOX, SPHERE
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.body_parameters import ObjectParameters
@@ -85,7 +85,9 @@ def test_two_cubes_on_the_ground(cloud, tmp_path, capsys):
     out = tmp_path / "bodies.ply"
     mesh = read_mesh(out)
     assert len(orient(mesh.vertices, mesh.triangles).boundary) == 0
-    names = {e.name: [p.name for p in e.properties] for e in parse_header(out.read_bytes())[1]}
+    with out.open("rb") as file:
+        elements = read_header(file).elements
+    names = {e.name: [p.name for p in e.properties] for e in elements}
     assert names["vertex"][-1] == "kind" and names["face"][-2:] == ["closed", "body"]
 
 

@@ -27,11 +27,10 @@ from ladar_volume.io.meshfiles.mesh_notes import (
     stl_origin,
 )
 from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
-from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
+from ladar_volume.io.meshfiles.ply_mesh import read_mesh_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.meshfiles.polygons import Faces, triangulate_faces
 from ladar_volume.io.pointfiles.crs import Coordinates, Reading, reconcile
 from ladar_volume.io.pointfiles.metres import MapCoordinates, to_metres
-from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
 from ladar_volume.io.pointfiles.point_file import columns_in_metres
 from ladar_volume.io.pointfiles.raw_table import no_place
 from ladar_volume.mesh.topology import vertices_of
@@ -83,7 +82,7 @@ def holds_faces(path: str | Path) -> bool:
         return path.suffix.lower() in READ_ENDINGS
     try:
         with path.open("rb") as file:
-            elements = parse_header(file.read(HEADER_LIMIT))[1]
+            elements = read_mesh_header(file).elements
     except (OSError, InputError):
         return False  # the reader of clouds says what is wrong
     return any(e.name == "face" and e.rows > 0 for e in elements)

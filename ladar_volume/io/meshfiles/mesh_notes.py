@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ladar_volume.io.meshfiles.landxml import LandSurface
+from ladar_volume.io.meshfiles.ply_mesh import read_mesh_header
 from ladar_volume.io.pointfiles.crs import Coordinates, coordinates_of, crs_of_text, of_comments
 from ladar_volume.io.pointfiles.metres import MapCoordinates, metric, stretch
 from ladar_volume.io.pointfiles.units import METRE, SPELLINGS, WORDS, Unit, unit_of_word
@@ -24,17 +25,18 @@ ORIGIN = re.compile(rb"^binary stl origin (-?\d+) (-?\d+) (-?\d+) ([A-Za-z ]+?) 
 
 
 def coordinates_of_head(path: Path, ending: str) -> Coordinates | None:
-    """What the comments say, None for nothing. Raises :class:`InputError` (input_crs)."""
+    """What the comments say, None for nothing. Raises :class:`InputError` (input_crs, and
+    mesh_file_header for a damaged PLY).
+    """
     with path.open("rb") as file:
+        if ending == ".ply":
+            return of_comments(read_mesh_header(file).comments)
         lines = file.read(HEAD).decode("utf-8", "replace").splitlines()
-    mark = "comment" if ending == ".ply" else "#"
     notes: list[str] = []
     for line in lines:
-        if line.startswith(mark):
-            notes.append(line[len(mark) :].strip())
-        elif ending != ".ply" and line.strip() not in ("", "OFF"):
-            break
-        elif line.strip() == "end_header":
+        if line.startswith("#"):
+            notes.append(line[1:].strip())
+        elif line.strip() not in ("", "OFF"):
             break
     return of_comments(notes)
 

@@ -7,39 +7,18 @@ triangles are, in one piece.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.io.pointfiles.ply import ENCODINGS, FORMATS, HEADER_LIMIT, TYPES
-from ladar_volume.model.errors import InputError, short_repr
+from ladar_volume.io.pointfiles.ply_elements import Element, Header, read_header, write_elements
+from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32
 
 INDEX_NAMES = ("vertex_indices", "vertex_index")
 Column = npt.NDArray[Any] | list[npt.NDArray[Any]]
-
-
-@dataclass
-class Property:
-    """name · code : type of a value · count : type of the length, empty where the property is no
-    list
-    """
-
-    name: str
-    code: str
-    count: str = ""
-
-
-@dataclass
-class Element:
-    """name · rows · properties"""
-
-    name: str
-    rows: int
-    properties: list[Property] = field(default_factory=list)
 
 
 def bad(words: str, reason: str = "mesh_file_header") -> InputError:
@@ -47,32 +26,14 @@ def bad(words: str, reason: str = "mesh_file_header") -> InputError:
     return InputError(words, reason=reason)
 
 
-def parse_header(data: bytes) -> tuple[str, list[Element], int]:
-    """Byte order ('' for ascii), elements and the length of the header. Raises :class:`InputError`
+def read_mesh_header(file: IO[bytes]) -> Header:
+    """The header of a file, which is left at its body. Raises :class:`InputError`
     (mesh_file_header).
     """
-    end = data.find(b"end_header", 0, HEADER_LIMIT)
-    newline = data.find(b"\n", end)
-    if not data.startswith(b"ply") or end < 0 or newline < 0:
-        raise bad("not a PLY file, or its header has no end")
-    order: str | None = None
-    elements: list[Element] = []
-    for line in data[:end].decode("latin-1").splitlines():
-        words = line.split()
-        try:
-            if words[:1] == ["format"]:
-                order = {name: ENCODINGS[key] for key, name in FORMATS.items()}[words[1]]
-            elif words[:1] == ["element"]:
-                elements.append(Element(words[1], int(words[2])))
-            elif words[:2] == ["property", "list"]:
-                elements[-1].properties.append(Property(words[4], TYPES[words[3]], TYPES[words[2]]))
-            elif words[:1] == ["property"]:
-                elements[-1].properties.append(Property(words[2], TYPES[words[1]]))
-        except (KeyError, IndexError, ValueError) as error:
-            raise bad(f"header line {short_repr(line.strip())} cannot be understood") from error
-    if order is None or any(e.rows < 0 for e in elements):
-        raise bad("the header names no format, or a negative count")
-    return order, elements, newline + 1
+    try:
+        return read_header(file)
+    except InputError as error:
+        raise bad(f"not a PLY file: {error}") from error
 
 
 class Stream:
@@ -176,10 +137,10 @@ def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32, dict[str, npt.NDArr
     Raises :class:`InputError` (mesh_file_header, mesh_file_short, mesh_file_values,
     mesh_file_fields) and OSError.
     """
-    data = path.read_bytes()
-    order, elements, start = parse_header(data)
-    stream = Stream(data[start:], order)
-    found = {e.name: read_element(stream, e) for e in elements}
+    with path.open("rb") as file:
+        header = read_mesh_header(file)
+        stream = Stream(file.read(), header.order)
+    found = {e.name: read_element(stream, e) for e in header.elements}
     vertex, face = found.get("vertex", {}), found.get("face", {})
     name = next((n for n in INDEX_NAMES if n in face), None)
     if not all(axis in vertex for axis in "xyz") or name is None:
@@ -215,29 +176,10 @@ def write_ply_mesh(
     """Write a binary PLY with double coordinates; ``vertex`` and ``face`` are small numbers (0 to
     255) beside each. Raises OSError.
     """
-    vertex, face = vertex or {}, face or {}
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *(f"comment {c}" for c in comments),
-        f"element vertex {len(vertices)}",
-    ]
-    lines += [f"property double {axis}" for axis in "xyz"] + [
-        f"property uchar {name}" for name in vertex
-    ]
-    lines += [
-        f"element face {len(triangles)}",
-        "property list uchar int vertex_indices",
-        *(f"property uchar {name}" for name in face),
-    ]
-    points = np.empty(len(vertices), [("r", "<f8", (3,)), *((name, "u1") for name in vertex)])
-    table = np.empty(
-        len(triangles), [("n", "u1"), ("v", "<i4", (3,)), *((name, "u1") for name in face)]
-    )
-    points["r"], table["n"], table["v"] = vertices, 3, triangles
-    for rows, columns in ((points, vertex), (table, face)):
-        for name, values in columns.items():
-            rows[name] = values
-    path.write_bytes(
-        ("\n".join([*lines, "end_header"]) + "\n").encode() + points.tobytes() + table.tobytes()
-    )
+    places = dict(zip("xyz", vertices.T, strict=True))
+    corners = {"vertex_indices": triangles.astype(np.int32, copy=False)}
+    elements = {
+        "vertex": places | {n: c.astype(np.uint8) for n, c in (vertex or {}).items()},
+        "face": corners | {n: c.astype(np.uint8) for n, c in (face or {}).items()},
+    }
+    write_elements(path, comments, elements)

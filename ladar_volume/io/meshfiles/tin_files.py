@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import atomic_file
-from ladar_volume.io.pointfiles.ply import NAMES
+from ladar_volume.io.pointfiles.ply_elements import write_elements
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
 
@@ -48,27 +50,29 @@ def write_tin(
     :class:`OutputError`.
     """
     path = check_tin_output(path)
+    columns: dict[str, npt.NDArray[Any]] = {} if sigma_z is None else {"sigma_z": sigma_z}
+    columns["source"] = tin.source.astype(np.int32)
+    return write_columns(path, tin, columns, every, notes)
+
+
+def write_columns(
+    path: Path,
+    tin: Tin,
+    columns: Mapping[str, npt.NDArray[Any]],
+    every: bool = False,
+    notes: Sequence[str] = (),
+) -> tuple[int, int]:
+    """Write the relevant triangles as binary PLY with columns (n,) of the vertices, of the type
+    that they have; whole or not. ``every`` and ``notes`` as in :func:`write_tin`. Returns numbers
+    of vertices, faces. Raises :class:`OutputError`.
+    """
     triangles = tin.triangles if every else tin.triangles[tin.relevant]
     used, inverse = np.unique(triangles, return_inverse=True)
-    columns = {"x": tin.vertices[used, 0], "y": tin.vertices[used, 1], "z": tin.vertices[used, 2]}
-    if sigma_z is not None:
-        columns["sigma_z"] = sigma_z[used]
-    columns["source"] = tin.source[used].astype(np.int32)
-    vertex = np.empty(len(used), [(name, c.dtype.newbyteorder("<")) for name, c in columns.items()])
-    for name, c in columns.items():
-        vertex[name] = c
-    marked = [("relevant", "u1")] if every else []
-    face = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", 3), *marked])
-    face["n"], face["v"] = 3, inverse.reshape(-1, 3)
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {n}" for n in notes)]
-    lines.append(f"element vertex {len(vertex)}")
-    lines += [f"property {NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
-    lines += [f"element face {len(face)}", "property list uchar int vertex_indices"]
+    vertex = dict(zip("xyz", tin.vertices[used].T, strict=True))
+    face: dict[str, npt.NDArray[Any]] = {"vertex_indices": inverse.reshape(-1, 3).astype(np.int32)}
     if every:
-        face["relevant"] = tin.relevant
-        lines.append("property uchar relevant")
+        face["relevant"] = tin.relevant.astype(np.uint8)
+    every_column = vertex | {name: c[used] for name, c in columns.items()}
     with atomic_file(path) as part:
-        part.write_bytes(
-            ("\n".join([*lines, "end_header"]) + "\n").encode() + vertex.tobytes() + face.tobytes()
-        )
-    return len(vertex), len(face)
+        write_elements(part, notes, {"vertex": every_column, "face": face})
+    return len(used), len(triangles)

@@ -8,7 +8,6 @@ ends early.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,60 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.pointfiles.crs import of_comments
+from ladar_volume.io.pointfiles.ply_elements import (
+    Element,
+    header_bytes,
+    read_header,
+    write_elements,
+)
 from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
-from ladar_volume.model.errors import CloudError, OutputError, short_repr
-
-TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
-NAMES = {
-    "i1": "char",
-    "u1": "uchar",
-    "i2": "short",
-    "u2": "ushort",
-    "i4": "int",
-    "u4": "uint",
-    "f4": "float",
-    "f8": "double",
-}
-ENCODINGS = {"ascii": "", "binary": "<", "binary_big_endian": ">"}
-FORMATS = {
-    "ascii": "ascii",
-    "binary": "binary_little_endian",
-    "binary_big_endian": "binary_big_endian",
-}
-HEADER_LIMIT = 1_000_000
-
-
-@dataclass
-class _Element:
-    name: str
-    count: int
-    properties: list[tuple[str, str]] = field(default_factory=list)
-    lists: bool = False
-
-    def dtype(self, order: str) -> np.dtype[Any]:
-        if self.lists:
-            raise CloudError(
-                f"element {self.name!r} has lists in or before the vertices, which is not read",
-                reason="cloud_fields",
-            )
-        return np.dtype([(name, order + code) for name, code in self.properties])
+from ladar_volume.model.errors import CloudError, InputError, OutputError
 
 
 def read_ply(path: Path) -> Columns:
@@ -86,80 +39,58 @@ def ply_table(path: Path) -> RawTable:
     Raises :class:`CloudError` (cloud_header, cloud_fields, cloud_short, cloud_values) and OSError.
     """
     with path.open("rb") as file:
-        order, elements, comments = _header(file)
-        before: list[_Element] = []
-        for element in elements:
+        try:
+            header = read_header(file)
+        except InputError as error:
+            raise CloudError(str(error), reason="cloud_header") from error
+        before: list[Element] = []
+        for element in header.elements:
             if element.name == "vertex":
                 left = path.stat().st_size - file.tell()
                 columns = (
                     _ascii(file, before, element, left)
-                    if order == ""
-                    else _binary(file, before, element, order, left)
+                    if header.order == ""
+                    else _binary(file, before, element, header.order, left)
                 )
-                return RawTable(columns, of_comments(comments))
+                return RawTable(columns, of_comments(header.comments))
             before.append(element)
     raise CloudError("the header declares no vertices", reason="cloud_header")
 
 
-def _header(file: IO[bytes]) -> tuple[str, list[_Element], list[str]]:
-    if file.readline(16).strip() != b"ply":
-        raise CloudError("does not begin with 'ply'", reason="cloud_header")
-    order: str | None = None
-    elements: list[_Element] = []
-    comments: list[str] = []
-    while True:
-        line = file.readline(HEADER_LIMIT)
-        if not line.endswith(b"\n") or file.tell() > HEADER_LIMIT:
-            raise CloudError("the header has no end", reason="cloud_header")
-        words = line.decode("latin-1").split()
-        if words[:1] == ["end_header"]:
-            break
-        if words[:1] == ["comment"]:
-            comments.append(line.decode("utf-8", "replace").strip()[len("comment") :].strip())
-        try:
-            if words[:1] == ["format"]:
-                order = {name: ENCODINGS[key] for key, name in FORMATS.items()}[words[1]]
-            elif words[:1] == ["element"]:
-                elements.append(_Element(words[1], int(words[2])))
-            elif words[:1] == ["property"]:
-                _property(elements[-1], words)
-        except (KeyError, IndexError, ValueError) as error:
+def row_type(element: Element, order: str) -> np.dtype[Any]:
+    """The type of an element's rows. Raises :class:`CloudError` (cloud_fields) for lists, and for a
+    property that appears twice.
+    """
+    names = [p.name for p in element.properties]
+    for p in element.properties:
+        if p.count:
             raise CloudError(
-                f"header line {short_repr(' '.join(words))} cannot be understood",
-                reason="cloud_header",
-            ) from error
-    if order is None or any(e.count < 0 for e in elements):
-        raise CloudError("the header names no format, or a negative count", reason="cloud_header")
-    return order, elements, comments
-
-
-def _property(element: _Element, words: list[str]) -> None:
-    if words[1] == "list":
-        element.lists = True
-    elif words[2] in dict(element.properties):
-        raise CloudError(
-            f"property {words[2]!r} appears twice", reason="cloud_fields", value=words[2]
-        )
-    else:
-        element.properties.append((words[2], TYPES[words[1]]))
+                f"element {element.name!r} has lists in or before the vertices, which is not read",
+                reason="cloud_fields",
+            )
+        if names.count(p.name) > 1:
+            raise CloudError(
+                f"property {p.name!r} appears twice", reason="cloud_fields", value=p.name
+            )
+    return np.dtype([(p.name, order + p.code) for p in element.properties])
 
 
 def _binary(
-    file: IO[bytes], before: list[_Element], vertex: _Element, order: str, left: int
+    file: IO[bytes], before: list[Element], vertex: Element, order: str, left: int
 ) -> Columns:
-    skip = sum(e.count * e.dtype(order).itemsize for e in before)
-    dtype = vertex.dtype(order)
-    check_size(vertex.count, dtype.itemsize, left - skip)
+    skip = sum(e.rows * row_type(e, order).itemsize for e in before)
+    dtype = row_type(vertex, order)
+    check_size(vertex.rows, dtype.itemsize, left - skip)
     file.seek(skip, 1)
-    table = np.fromfile(file, dtype, vertex.count)
+    table = np.fromfile(file, dtype, vertex.rows)
     return {name: native(table[name]) for name in dtype.names or ()}
 
 
-def _ascii(file: IO[bytes], before: list[_Element], vertex: _Element, left: int) -> Columns:
-    dtype = vertex.dtype("=")
+def _ascii(file: IO[bytes], before: list[Element], vertex: Element, left: int) -> Columns:
+    dtype = row_type(vertex, "=")
     names = dtype.names or ()
-    check_size(vertex.count, 2 * len(names) - 1, left)  # a digit and a separator for each value
-    values = text_rows(file, sum(e.count for e in before), vertex.count, len(names))
+    check_size(vertex.rows, 2 * len(names) - 1, left)  # a digit and a separator for each value
+    values = text_rows(file, sum(e.rows for e in before), vertex.rows, len(names))
     # floats keep the digits they are written with, whatever type is declared
     return {
         n: integers(values[:, k], dtype[n]) if dtype[n].kind in "iu" else values[:, k].copy()
@@ -247,25 +178,11 @@ def write_ply(path: Path, columns: Columns, comments: list[str], encoding: str) 
     OSError and :class:`OutputError`.
     """
     columns = {name: narrow(c) for name, c in columns.items()}
-    rows = len(next(iter(columns.values())))
-    lines = [
-        "ply",
-        f"format {FORMATS[encoding]} 1.0",
-        *(f"comment {c}" for c in comments),
-        f"element vertex {rows}",
-    ]
-    lines += [f"property {NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
+    if encoding != "ascii":
+        return write_elements(path, comments, {"vertex": columns}, encoding)
     with path.open("wb") as file:
-        file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
-        if encoding == "ascii":
-            write_rows(file, columns, " ")
-            return
-        table = np.empty(
-            rows, [(name, ENCODINGS[encoding] + c.dtype.str[1:]) for name, c in columns.items()]
-        )
-        for name, c in columns.items():
-            table[name] = c
-        file.write(table.data)
+        file.write(header_bytes(encoding, comments, {"vertex": columns}))
+        write_rows(file, columns, " ")
 
 
 def write_rows(file: IO[bytes], columns: Columns, separator: str, chunk: int = 100_000) -> None:
