@@ -6,7 +6,8 @@ q) · ((p2 − q) × (p3 − q)) / 6``. Over a closed mesh the sum does not depe
 is computed and printed, not assumed. The derivative by p1 is ``(p2 − q) × (p3 − q) / 6``. The
 volume is linear in each vertex, so independent noise leaves it without bias, and its second-order
 variance is exact: ``½ Σ tr(H_ab C_b H_abᵀ C_a)`` over ordered neighbours, with ``H_ab = [c − d]x /
-6`` for the two corners c, d opposite the edge.
+6`` for the two corners c, d opposite the edge. Published meshes have edges with one triangle and
+with several: there it is ``Σ ± [c − q]x / 6`` over their third corners, about the pole.
 """
 
 from __future__ import annotations
@@ -236,8 +237,11 @@ def closed_variance(vertices: F64, body: ClosedVolume, noise: float | F64) -> Cl
     first = float(np.einsum("ni,nij,nj->", body.gradient, C, body.gradient))
     t = body.mesh.triangles
     order, start, _ = edge_table(t)
-    i, j = order[start[:-1]], order[start[:-1] + 1]
-    a, b = t.ravel()[i], t[:, [1, 2, 0]].ravel()[i]
-    H = skew(v[t[:, [2, 0, 1]].ravel()[i]] - v[t[:, [2, 0, 1]].ravel()[j]]) / 6.0
+    first_half = order[start[:-1]]
+    a, b = t.ravel()[first_half], t[:, [1, 2, 0]].ravel()[first_half]
+    # of a closed mesh the pole drops out; open edges and those of several triangles keep it
+    way = np.where(t.ravel()[order] == np.repeat(a, np.diff(start)), 1.0, -1.0)
+    third = v[t[:, [2, 0, 1]].ravel()[order]] - body.pole_map
+    H = skew(np.add.reduceat(way[:, None] * third, start[:-1])) / 6.0
     second = float(np.einsum("nij,njk,nlk,nli->", H, C[b], H, C[a]))
     return ClosedVariance(first, second)

@@ -12,6 +12,7 @@ from closed_meshes import CUBE_T, CUBE_V, grid_mesh, moebius, sphere, torus
 
 from ladar_volume.math.se3 import exp_so3
 from ladar_volume.mesh.tetrahedra import (
+    ClosedVolume,
     closed_variance,
     closed_volume,
     signed_tetrahedra,
@@ -19,6 +20,7 @@ from ladar_volume.mesh.tetrahedra import (
     winding_kernel,
 )
 from ladar_volume.mesh.topology import (
+    OrientedMesh,
     counting_sort,
     edge_table,
     orient,
@@ -155,6 +157,31 @@ def test_variance_by_monte_carlo_and_no_bias(sigma):
     assert closed_variance(v, b, sigma).sigma_m3 == pytest.approx(
         closed_variance(v, b, np.full(len(v), sigma)).sigma_m3
     )
+
+
+@pytest.mark.parametrize("given", [CUBE_T[:-1], CUBE_T[:3], np.r_[CUBE_T, [[0, 6, 1]]]])
+def test_second_order_of_meshes_that_are_no_manifold(given):
+    """Open edges and such of three triangles, as published meshes have them: the volume is linear
+    in each vertex, so that its mixed differences of any step are its second derivatives.
+    """
+    t, pole = np.asarray(given, np.int32), np.array([0.3, -0.2, 0.4])
+    n = len(t)
+    used = OrientedMesh(t, np.zeros(n, bool), np.zeros(n, np.int32), 0, 0, 0)
+    body = ClosedVolume(
+        0.0, np.zeros(1), np.zeros_like(CUBE_V), 0.0, pole, 0.0, used, np.zeros(n, bool)
+    )
+    sigma, total = np.linspace(0.1, 0.8, len(CUBE_V)), 0.0
+    for i in range(3 * len(CUBE_V)):
+        for j in range(3 * (i // 3)):
+            mixed = 0.0
+            for a in (0, 1):
+                for b in (0, 1):
+                    v = CUBE_V.astype(float).copy()
+                    v.flat[i] += a
+                    v.flat[j] += b
+                    mixed += (-1.0) ** (a + b) * signed_tetrahedra(v, t, pole).sum()
+            total += mixed**2 * sigma[i // 3] ** 2 * sigma[j // 3] ** 2
+    assert closed_variance(CUBE_V, body, sigma).second_m6 == pytest.approx(total, rel=1e-12)
 
 
 def test_even_noise_on_a_sphere_has_its_closed_form():
