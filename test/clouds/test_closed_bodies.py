@@ -114,6 +114,24 @@ def test_the_influence_of_raw_points_is_that_of_repeated_clouds():
     assert np.sqrt(np.mean(np.square(heights))) == pytest.approx(np.mean(predicted), rel=0.35)
 
 
+@pytest.mark.parametrize("thick_m", [0.05, 0.3])
+def test_two_faces_in_one_neighbourhood_do_not_share_their_noise(thick_m):
+    """A plate: whatever the signs of the normals, its thickness has the noise of both faces."""
+    rng, each = np.random.default_rng(11), 400
+    xy = rng.uniform(0, 1, (2 * each, 2))
+    p = np.column_stack([xy, np.repeat([0.0, thick_m], each) + 0.005 * rng.normal(size=2 * each)])
+    n = np.tile([0.0, 0.0, 1.0], (2 * each, 1)) * rng.choice([-1.0, 1.0], (2 * each, 1))
+    on = np.column_stack([xy, np.repeat([p[:each, 2].mean(), p[each:, 2].mean()], each)])
+    rows, noise = np.arange(2 * each), np.full(2 * each, 0.005)
+    none = np.zeros(0, np.int64)
+    f = CloudResult(on, rows, n, noise, none, none, {}, noise=noise, reach=np.full(len(on), 1.5))
+    side = np.repeat([-1.0, 1.0], each)[:, None] / each
+    s = influence(p, f, n[:, 2:] * side)
+    assert np.sqrt((s**2).sum()) == pytest.approx(np.sqrt(2.0 / each), rel=0.02)
+    level = influence(p, f, n[:, 2:] * abs(side))
+    assert np.sqrt((level**2).sum()) == pytest.approx(np.sqrt(2.0 / each), rel=0.02)
+
+
 def test_influence_counts_along_normals_of_either_sign():
     rng = np.random.default_rng(7)
     p = np.column_stack([rng.uniform(0, 1, (300, 2)), 0.005 * rng.normal(size=300)])
