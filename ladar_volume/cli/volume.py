@@ -60,6 +60,7 @@ from ladar_volume.clouds.cloud_volume import (
 )
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
+from ladar_volume.clouds.sampling.site_lengths import length_facts, site_lengths
 from ladar_volume.clouds.sampling.stray_effect import stray_effect
 from ladar_volume.clouds.volume_verdict import (
     counted_areas,
@@ -304,6 +305,7 @@ def compute_volume(
     """The volume with its verdict, where levels are asked for the sequence with its floors; and
     what it counts.
     """
+    task = with_site_lengths(task, surfaces[0])
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
     # piles count on the first surface alone
     areas = [counted_areas(s, m) for s, m in zip(surfaces, found.counted, strict=False)]
@@ -320,8 +322,18 @@ def compute_volume(
         at = levels_of_pairs(task, found.parameters.volume.level_m)
         more["pairs"] = pair_facts(surfaces, task.arguments.method, at, offset_of(task))
     facts = volume_facts(judgement.volume, found.parameters)
-    facts |= {"footprint": task.arguments.footprint if len(surfaces) == 2 else None, **more}
+    facts |= {
+        "footprint": task.arguments.footprint if len(surfaces) == 2 else None,
+        "lengths": length_facts(found.parameters),
+        **more,
+    }
     return {**facts, "verdict": judgement.verdict}, found
+
+
+def with_site_lengths(task: VolumeTask, surface: CloudSurface) -> VolumeTask:
+    """The task with lengths that go with the site, but for those that ``--set`` names."""
+    named = [text.partition("=")[0].strip().partition(".")[2] for text in task.arguments.set]
+    return dataclasses.replace(task, parameters=site_lengths(task.parameters, surface, named))
 
 
 def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:

@@ -70,7 +70,6 @@ def test_a_filter_is_that_of_the_command_line(cone, capsys, tmp_path):
     [
         (lambda r: lv.volume(r, "gruond"), "did you mean 'ground'"),
         (lambda r: lv.volume(r, 0.0, outlin="all"), "did you mean 'outline'"),
-        (lambda r: lv.volume(r), "above what"),
         (lambda r: lv.filter(r, radus=1.0), "did you mean 'radius'"),
     ],
 )

@@ -27,6 +27,7 @@ BASES = tuple(dict.fromkeys((*(spec_of("volume.base").choices or ()), "floor", *
 
 
 BASE_WORDS = (
+    "one cloud with nothing else said: ground; "
     "floor: the one --levels shows; with --piles also site_ground (around all piles), and from the "
     "heights along each outline toe_plane, toe_quadratic, toe_tin (triangulated), toe_lowest, "
     "toe_mean, toe_highest"

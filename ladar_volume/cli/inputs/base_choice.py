@@ -47,11 +47,7 @@ def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
     if not two and (a.footprint == "own" or a.sigma_b is not None):
         raise ConfigurationError("--footprint own and --sigma-b are for two clouds")
     level = "front" if a.method == 1 else "lowest"
-    base = a.base or (level if two and inferred in ("floor", "") else inferred)
-    if not base:
-        raise ConfigurationError(
-            "above what? Give --level Z, --base plane, ground or floor, or a second cloud"
-        )
+    base = a.base or (level if two and inferred in ("floor", "") else inferred or "ground")
     _check_base(a, base, two)
     return _read_parameters(a, base), base
 
