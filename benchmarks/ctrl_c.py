@@ -173,6 +173,7 @@ def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
     (the volume said to be at the end), ``replay`` (that of the log) and ``wrong``.
     """
     rng, found = random.Random(seed), []
+    subprocess.run([sys.executable, "-m", "ladar_volume.compile_kernels"], cwd=ROOT, check=True)
     bag = recording(folder / "bag", 5)
     for n in range(runs):
         log = folder / f"log{n}.mcap"

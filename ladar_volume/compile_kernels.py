@@ -4,13 +4,16 @@ for it.
 A made-up survey of a mound from a platform that stands still above it, four seconds long, goes
 through the stage that is asked for, or through the volume the surface that a filter would make of
 it. Only the modules of that stage are loaded: each node holds no more than it runs.
+
+``python -m ladar_volume.compile_kernels [STAGE ...]`` compiles what the caches lack, and ends.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -31,6 +34,8 @@ from ladar_volume.model.records import (
     PlatformStates,
     Returns,
 )
+from ladar_volume.process.compile_apart import compiled_apart
+from ladar_volume.process.compile_progress import COMPILE_PROGRESS
 
 if TYPE_CHECKING:
     from ladar_volume.rmls.surface_filter import SurfaceFilter
@@ -38,6 +43,8 @@ if TYPE_CHECKING:
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
 STAGES = ("georeference", "filter", "volume", "epochs")
+#: Asks for a dot on stdout for each kernel, in place of lines on stderr.
+TICKS = "--ticks"
 START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
 SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
@@ -56,6 +63,13 @@ def warm_up(stage: str) -> None:
         _volume(parameters)
     else:
         _epochs(parameters)
+
+
+def load_kernels(stage: str) -> None:
+    """As :func:`warm_up`, for a process that stays: another one compiles what the cache lacks."""
+    program = [sys.executable, "-m", "ladar_volume.compile_kernels", TICKS, stage]
+    with compiled_apart(program):
+        warm_up(stage)
 
 
 def _clouds() -> Iterator[tuple[int, I64, F64, Returns]]:
@@ -202,3 +216,16 @@ def _estimate(estimator: VolumeEstimator) -> None:
     with contextlib.suppress(LadarVolumeError):
         estimator.estimate()
         estimator.more_data()
+
+
+def main(words: Sequence[str]) -> int:
+    """Compile the named stages, or all. Returns the exit code."""
+    COMPILE_PROGRESS.ticks = TICKS in words
+    COMPILE_PROGRESS.to_stderr = not COMPILE_PROGRESS.ticks
+    for stage in [w for w in words if w != TICKS] or STAGES:
+        warm_up(stage)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

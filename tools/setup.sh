@@ -76,7 +76,7 @@ rm -rf build ladar_volume.egg-info
 echo "Compiling the kernels (about a minute)"
 compiling=()
 for stage in georeference filter volume epochs; do
-    .venv/bin/python -c "from ladar_volume.compile_kernels import warm_up; warm_up('$stage')" &
+    .venv/bin/python -m ladar_volume.compile_kernels "$stage" &
     compiling+=($!)
 done
 for process in "${compiling[@]}"; do wait "$process"; done

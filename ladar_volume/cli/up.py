@@ -8,6 +8,7 @@ import dataclasses
 import json
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -78,7 +79,11 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Start the graph; play, wait, print and save, or run until interrupted."""
+    """Start the graph; play, wait, print and save, or run until interrupted. With ``--warm``
+    compile the kernels and end.
+    """
+    if arguments.warm:
+        return compile_all()
     if arguments.play is not None:
         # a recording's graph is this computer's own affair
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -97,6 +102,15 @@ def run(arguments: argparse.Namespace) -> int:
         show_bodies(console, result.get("closed_bodies", []))
         console.print(f"written to {folder}/")
     return exit_code(arguments, result["verdict"])
+
+
+def compile_all() -> int:
+    """Compile what the nodes run, with progress on stderr."""
+    from ladar_volume.compile_kernels import main
+
+    code = main(())
+    print("the kernels are ready", file=sys.stderr)
+    return code
 
 
 def write_saved(

@@ -208,7 +208,8 @@ class StageNode(LifecycleNode, ABC):
         try:
             if self.kernels is not None:
                 with compilation_reports(self._tell_first_start):
-                    importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
+                    kernels = importlib.import_module("ladar_volume.compile_kernels")
+                    kernels.load_kernels(self.kernels)
             if "calibration" in self.sections:
                 self._mount()
             self.build()
@@ -532,14 +533,16 @@ class StageNode(LifecycleNode, ABC):
             total.merge(stage.losses)
         return total
 
-    def autostart(self) -> bool:
+    def autostart(self, before_data: Callable[[], None] = lambda: None) -> bool:
         """Configure and activate where the parameters say so. False where it cannot be configured;
-        :attr:`failure` says why.
+        :attr:`failure` says why. before_data : called before the node takes in anything.
         """
         if not self.parameters.node.autostart:
+            before_data()
             return True
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             return False
+        before_data()
         self.trigger_activate()
         return True
 

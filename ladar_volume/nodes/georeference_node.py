@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.point_jacobian import total_covariance
+from ladar_volume.georeference.turn_check import Turns
 from ladar_volume.io.cloud_messages import returns_from_cloud, stamp_ns
 from ladar_volume.io.drivers.point_layouts import RING_FIELDS
 from ladar_volume.io.drivers.velodyne_scan import KIND, TOPIC
@@ -34,7 +35,7 @@ from ladar_volume.nodes.frames.published_frames import MOVING, PublishedFrames
 from ladar_volume.nodes.message_classes import needed_class
 from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
-from ladar_volume.nodes.watch.clock_words import clock_words
+from ladar_volume.nodes.watch.clock_words import clock_state, clock_words
 from ladar_volume.nodes.watch.sensor_checks import SensorChecks
 
 #: An outage: sensors at 10 Hz and more do not pause this long.
@@ -56,6 +57,7 @@ class GeoreferenceNode(StageNode):
     def build(self) -> None:
         """Stage, topics."""
         self.stage = Georeferencer(self.parameters)
+        self._turns = Turns(self.stage.mount.R_body_laser)
         self._checks, self._returns = SensorChecks(self.parameters), 0
         self._segment: int | None = None
         self._datum_sent = False
@@ -109,7 +111,7 @@ class GeoreferenceNode(StageNode):
         stage = self.stage
         decode: dict[str, Callable[[Any], None]] = {
             "fix": lambda m: stage.add_fix(fix_from_message(m)),
-            "imu": lambda m: stage.add_imu(imu_from_message(m)),
+            "imu": self._add_imu,
             "odometry": self._add_odometry,
             "cloud": lambda m: stage.add_returns(self._returns_of(m)),
         }
@@ -131,10 +133,16 @@ class GeoreferenceNode(StageNode):
         self._publish()
         return None
 
+    def _add_imu(self, message: Imu) -> None:
+        sample = imu_from_message(message)
+        self._turns.add_attitude(sample.t_ns, sample.q_map_body)
+        self.stage.add_imu(sample)
+
     def _add_odometry(self, message: object) -> None:
         """Poses of an Odometry or of transforms."""
         for sample in poses_from_message(message, self._transforms, self.losses):
             self._newest_ns = sample.t_ns
+            self._turns.add_attitude(sample.t_ns, sample.q_map_body)
             self.stage.add_odometry(sample)
 
     def _returns_of(self, cloud: PointCloud2) -> Returns:
@@ -150,6 +158,8 @@ class GeoreferenceNode(StageNode):
         else:
             self._returns += cloud.width * cloud.height
             self._checks.returns(returns, {field.name for field in cloud.fields})
+        if self.stage.cloud_lead.state in ("offset", "unsteady"):  # latency, or a clock?
+            self._turns.add_sweep(returns)
         return returns
 
     def received_counts(self) -> dict[str, int]:
@@ -159,6 +169,7 @@ class GeoreferenceNode(StageNode):
     def _start_over(self) -> None:
         self._segment, self._datum_sent = None, False
         self._sent_ns = 0
+        self._turns = Turns(self.stage.mount.R_body_laser)
 
     def finish(self) -> None:
         """What still waits for a pose is lost, and counted."""
@@ -206,7 +217,7 @@ class GeoreferenceNode(StageNode):
             "mounting": self.mounting,
             "tf": self._frames.words,
             "clock_offset_s": offset,
-            "clock_state": lead.state,
+            "clock_state": clock_state(lead, self._turns.found, offset),
             "fix_clock_state": fix.state,
             "sweeps_overlapping": self.stage.sweeps.overlapping,
             "restarts": self.stage.restarts,
@@ -220,6 +231,11 @@ class GeoreferenceNode(StageNode):
                 "clock_offset_estimate_s": f"{offset + lead.estimate_s[0]:.4f}",
                 "clock_offset_sigma_s": f"{lead.estimate_s[1]:.4f}",
             }
+        if (turns := self._turns.found) is not None:
+            lines |= {
+                "clock_offset_by_turns_s": f"{turns.lag_s:.3f}",
+                "clock_offset_by_turns_sigma_s": f"{turns.sigma_s:.3f}",
+            }
         if fix.estimate_s is not None:
             lines["fix_behind_s"] = f"{fix.estimate_s[0]:.4f}"
         return lines
@@ -229,7 +245,9 @@ class GeoreferenceNode(StageNode):
         without RTK fix.
         """
         out = [*self._checks.warnings(), *self._frames.warnings()]
-        out += [*clock_words(self.stage.cloud_lead, self.stage.fix_lead)]
+        declared = self.parameters.calibration.clock_offset_s
+        stage = self.stage
+        out += clock_words(stage.cloud_lead, stage.fix_lead, self._turns.found, declared)
         if self._fix_status is not None and self._fix_status < 0:
             out.append("the receiver has no fix")
         return out

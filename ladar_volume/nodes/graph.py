@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from ladar_volume.compile_kernels import STAGES, warm_up
+from ladar_volume.compile_kernels import STAGES, load_kernels
 from ladar_volume.io.bags import Recording
 from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.nodes.base import ENDING_S, STOP_S, StageNode
@@ -151,7 +151,7 @@ class Graph:
             STAGES
         ):  # once here, so that processes do not compile the same kernels beside each other
             with compilation_reports(lambda words: None):
-                warm_up(stage)
+                load_kernels(stage)
         before_ros()
         # no handler of its own: it would end the context before the nodes have finished
         given = ["--ros-args", *ros] if ros else []

@@ -100,13 +100,19 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
         signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
     )
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+
+    def end_in_order() -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
+
     try:
         node = factory()
+        if node.kernels is None:
+            end_in_order()
         if node.kernels is not None and is_own_process():
             without_blas()
-        if not node.autostart():
+        # until then a signal just ends the process, also one that waits for its kernels
+        if not node.autostart(end_in_order):
             # for who started it
             print(f"ladar_volume: {node.get_name()}: {node.failure}", file=sys.stderr)  # noqa: T201
             node.destroy_node()

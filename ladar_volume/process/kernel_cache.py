@@ -36,14 +36,20 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Signature, target_context: BaseContext) -> Any:
         """The machine code of a signature; None where it is to be compiled."""
-        found = None
-        try:
-            found = super().load_overload(sig, target_context)
-        except Exception as error:  # a damaged pickle may raise anything
-            self._throw_away(error)
+        found = self._read(sig, target_context)
+        if found is None and COMPILE_PROGRESS.compile_apart():
+            found = self._read(sig, target_context)
         if found is None:
             COMPILE_PROGRESS.begin_kernel()
         return found
+
+    def _read(self, sig: Signature, target_context: BaseContext) -> Any:
+        """What the cache has of a signature; a damaged file is thrown away."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # a damaged pickle may raise anything
+            self._throw_away(error)
+            return None
 
     def save_overload(self, sig: Signature, data: object) -> None:
         """Keep machine code, where that can be done."""

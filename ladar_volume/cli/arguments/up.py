@@ -27,6 +27,11 @@ def add_parser(subparsers: Verbs) -> None:
     add_parameter(
         parser, "--mavlink", "mavlink.url", metavar="URL", more="poses then come from the autopilot"
     )
+    parser.add_argument(
+        "--warm",
+        action="store_true",
+        help="compile the kernels, which are kept, and end: the first start then takes seconds",
+    )
     parser.add_argument("--log", type=Path, help="MCAP file to log inputs and results to")
     parser.add_argument("--log-all", action="store_true", help="log also what is derived: large")
     _add_viewers(parser)
