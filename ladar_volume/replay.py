@@ -18,7 +18,12 @@ from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.frames.frame_mounting import mounting_of_recording
 from ladar_volume.io.frames.moving_frames import TransformPoses
-from ladar_volume.io.logs.heard_live import heard_and_logged, missing_messages, more_than_live
+from ladar_volume.io.logs.heard_live import (
+    absent_words,
+    heard_and_logged,
+    missing_messages,
+    more_than_live,
+)
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -64,7 +69,12 @@ class Replay:
             if self.poses is None
             else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
         )
-        self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
+        try:
+            self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
+        except BagError as error:
+            more = absent_words(self.bag)  # a log that began after its drivers
+            text = f"{error}; {more}" if more else str(error)
+            raise BagError(text, reason=error.reason, value=error.value) from None
         mounted = mounting_of_recording(
             self.bag, self.topics, self.parameters, self.poses is not None
         )

@@ -46,9 +46,13 @@ class FixSteps:
         self._p: list[F64] = []
         self._sizes: list[float] = []
         self._largest: tuple[int, F64] = (0, np.zeros(3))
+        #: Time of the first position, ns; None before it.
+        self.first_ns: int | None = None
 
     def add(self, t_ns: int, p: F64) -> None:
         """The next position p (3,) m."""
+        if self.first_ns is None:
+            self.first_ns = t_ns
         if self._t and t_ns - self._t[-1] > LONGEST_S * 1e9:
             self._t, self._p = [], []
         self._t.append(t_ns)

@@ -36,6 +36,7 @@ from ladar_volume.nodes.message_classes import needed_class
 from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.watch.clock_words import clock_state, clock_words
+from ladar_volume.nodes.watch.fix_step_lines import step_lines
 from ladar_volume.nodes.watch.sensor_checks import SensorChecks
 
 #: An outage: sensors at 10 Hz and more do not pause this long.
@@ -225,6 +226,7 @@ class GeoreferenceNode(StageNode):
             "returns_waiting": self.stage.pending,
             **{f"sent_{k}": v for k, v in self.sent.items()},
             **self._checks.lines(),
+            **step_lines(self.stage.fix_steps),
         }
         if lead.estimate_s is not None:
             lines |= {

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
@@ -25,6 +26,7 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.message_classes import message_class
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.watch.missed_inputs import MissedInputs
 from ladar_volume.nodes.watch.wanted_topics import WantedTopics
 from ladar_volume.version import version
 
@@ -131,6 +133,14 @@ class LoggerNode(StageNode):
         threading.Thread(target=self._repair, name="repair", daemon=True).start()
         self.create_timer(DISCOVERY_S, self._discover, callback_group=self._group)
         self.create_service(Trigger, "~/split", self._on_split_request, callback_group=self._group)
+        inputs = {
+            role: self.resolve_topic_name(usual) for role, (_, usual) in self._roles().items()
+        }
+        logged = {r: t.lstrip("/") for r, t in inputs.items() if self._wanted.matches(t)}
+        self._missed = MissedInputs(self.get_namespace(), logged)
+        self.create_subscription(
+            DiagnosticArray, "/diagnostics", self._missed.take, 50, callback_group=self._group
+        )
         self._subscribe_inputs()
         self._discover()
 
@@ -155,13 +165,17 @@ class LoggerNode(StageNode):
         while it is looked for.
         """
         reliable = self.parameters.node.input_reliability == "reliable"
-        packets = self.parameters.node.cloud_message == "VelodyneScan"
-        for kind, usual in (ROLES | (INSTEAD if packets else {})).values():
+        for kind, usual in self._roles().values():
             topic = self.resolve_topic_name(usual)
             if self._wanted.matches(topic):
                 self._subscribe(
                     topic, topic.lstrip("/"), TopicSubscription(kind, reliable, latched=False)
                 )
+
+    def _roles(self) -> dict[str, tuple[str, str]]:
+        """Type and usual topic of each role."""
+        packets = self.parameters.node.cloud_message == "VelodyneScan"
+        return ROLES | (INSTEAD if packets else {})
 
     def _discover(self) -> None:
         self._wanted.look(self.get_node_names_and_namespaces())
@@ -287,8 +301,16 @@ class LoggerNode(StageNode):
     def stop(self) -> None:
         """Write what is queued, then finish the file with its index."""
         super().stop()
-        if hasattr(self, "_recorder"):
-            self._recorder.close()
+        if not hasattr(self, "_recorder"):
+            return
+        self._recorder.close()
+        if words := self._missed.words(self._recorder.accounts, ended=True):
+            self.get_logger().warning(words)
+
+    def warnings(self) -> list[str]:
+        """What the log lacks of what the survey is made of."""
+        words = self._missed.words(self._recorder.accounts)
+        return [words] if words and self.queue.empty() else []
 
     def all_losses(self) -> Losses:
         """Messages that are not in the log, by reason and topic."""

@@ -53,6 +53,7 @@ from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.services.catch_up import CatchUp
 from ladar_volume.nodes.services.closed_bodies import ClosedBodies
 from ladar_volume.nodes.stream_passes import StreamPasses
+from ladar_volume.nodes.watch.fix_step_lines import doubts_from_lines
 from ladar_volume.nodes.watch.upstream_nodes import UpstreamNodes
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
@@ -380,7 +381,9 @@ class VolumeNode(StageNode):
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
-        verdict = estimate.volume.verdict + self._others.verdict() + self._late
+        verdict = estimate.volume.verdict
+        step = doubts_from_lines(self._others.lines("georeference_node"), verdict)
+        verdict = verdict + self._others.verdict() + self._late + step
         volume = dataclasses.replace(estimate.volume, verdict=verdict)
         estimate = dataclasses.replace(estimate, volume=volume)
         self._more = self.stage.more_data()

@@ -4,11 +4,15 @@ import pytest
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
 from ladar_volume.io.logs.heard_live import (
+    absent_words,
     heard_and_logged,
     in_words,
     missing_messages,
     more_than_live,
 )
+from ladar_volume.model.errors import BagError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.replay import Replay
 
 T = TYPESTORE.types
 NANO = 10**9
@@ -72,3 +76,11 @@ def test_of_several_vehicles_the_one_of_the_namespace_counts(tmp_path):
         assert missing_messages(heard_and_logged(bag, {"cloud": "other/points"})).sound  # nobody's
     with BagReader(log(tmp_path / "none", [], topics)) as bag:
         assert missing_messages(heard_and_logged(bag, {"cloud": "rover1/velodyne_points"})).sound
+
+
+def test_a_log_without_a_sensors_topic_says_what_was_there_live(tmp_path):
+    path = log(tmp_path / "log", [report(0, georeference_node={"cloud": 2, "imu": 73})], {})
+    with BagReader(path) as bag:
+        assert "2 clouds and 73 attitudes live" in absent_words(bag)
+        with pytest.raises(BagError, match=r"no topic for cloud.*2 clouds and 73 attitudes live"):
+            Replay(bag, Parameters(), {})

@@ -67,14 +67,32 @@ def more_than_live(counted: Mapping[str, tuple[int, int]]) -> dict[str, int]:
     return {role: there - heard for role, (heard, there) in counted.items() if there > heard}
 
 
+def lacking_words(counted: Mapping[str, tuple[int, int]]) -> str:
+    """What the log lacks of the messages that the node had received live; empty for nothing."""
+    lacks = {role: n for role, n in counted.items() if n[0] > n[1]}
+    words = " and ".join(f"{h - n} of {h} {UNITS[role]}" for role, (h, n) in lacks.items())
+    return f"the log lacks {words} that {NODE} had live" if lacks else ""
+
+
 def missing_messages(counted: Mapping[str, tuple[int, int]]) -> Verdict:
     """A doubt where the log has fewer messages of a role than the node had received live."""
-    lacks = {role: n for role, n in counted.items() if n[0] > n[1]}
-    if not lacks:
+    words = lacking_words(counted)
+    if not words:
         return Verdict()
-    words = " and ".join(f"{h - n} of {h} {UNITS[role]}" for role, (h, n) in lacks.items())
     text = (
-        f"the log lacks {words} that {NODE} had live, so that this volume is not the live one: "
-        "start the log before the drivers, or give all files of the log"
+        f"{words}, so that this volume is not the live one: start the log before the drivers, or "
+        "give all files of the log"
     )
-    return Verdict((Doubt("log_incomplete", text, float(max(h - n for h, n in lacks.values()))),))
+    return Verdict((Doubt("log_incomplete", text, float(max(h - n for h, n in counted.values()))),))
+
+
+def absent_words(bag: Recording) -> str:
+    """Of a log that lacks a sensor's topic: what the node had of all sensors, where that was
+    something; empty for a recording without reports.
+    """
+    try:
+        counts = live_counts(bag)
+    except BagError:
+        return ""
+    had = {role: n for role, n in (counts_of_node(counts, {}) or {}).items() if n}
+    return f"{NODE} had {in_words(had)} live, which this log lacks" if had else ""
