@@ -3,9 +3,9 @@
 | driver | time of a return | ring |
 |---|---|---|
 | velodyne_pointcloud | ``time`` float32, s from the stamp | ``ring`` uint16 |
-| ouster_ros | ``t`` uint32, ns from the stamp | ``ring`` uint8 or uint16 |
-| hesai_ros_driver | ``timestamp`` float64, s since 1970 | ``ring`` uint16 |
-| rslidar_sdk (RoboSense) | ``timestamp`` float64, s since 1970 | ``ring`` uint16 |
+| ouster_ros | ``t`` uint32, ns from the stamp | ``ring`` uint16 |
+| hesai_ros_driver, rslidar_sdk | ``timestamp`` float64, s since 1970 | ``ring`` uint16 |
+| hesai_lidar (ROS 1) | the same, before ``ring`` | ``ring`` uint16 |
 | livox_ros_driver2 | ``timestamp`` float64, ns since 1970 | ``line`` uint8 |
 | the same, converted | ``offset_time`` uint32, ns from the stamp | ``line`` uint8 |
 | nebula (Autoware) | ``time_stamp`` uint32, ns from the stamp | ``channel`` uint16 |
@@ -61,9 +61,10 @@ def layout_of(names: Collection[str]) -> PointLayout:
     order, fields = list(names), set(names)
     driver = next((name for name, own in SIGNATURES if own <= fields), "")
     if not driver and {"timestamp", "ring"} <= fields:
-        # the same fields of the same types: RoboSense writes the ring first
+        # one order of the same fields is that of two drivers, but RoboSense's own feature
         first = order.index("ring") < order.index("timestamp")
-        driver = "RoboSense" if first else "Hesai"
+        driver = "Hesai or RoboSense" if first else "Hesai"
+        driver = "RoboSense" if "feature" in fields else driver
 
     def of(candidates: tuple[str, ...]) -> str:
         return next((name for name in candidates if name in fields), "")
