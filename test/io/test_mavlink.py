@@ -716,6 +716,45 @@ def test_a_dataflash_log_is_related_to_utc_by_its_fixes(tmp_path):
     }
 
 
+def old_dataflash(week):
+    """A log as ArduPilot wrote them before 2015: milliseconds, and GPS time of the week in GPS."""
+    columns = b"Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T"
+    out = b""
+    for number, name, letters, named, size in (
+        (130, b"GPS", b"BIHBcLLeeEefI", columns, 42),
+        (
+            132,
+            b"ATT",
+            b"IccccCCCC",
+            b"TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw",
+            20,
+        ),
+    ):
+        out += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, size + 3, name, letters, named)
+    for i in range(60):
+        boot, place = 20_000 + 200 * i, (-353_633_000, 1_491_652_000 + i, 1000, 58_400)
+        out += b"\xa3\x95\x82" + struct.pack(
+            "<BIHBhiiiiIifI", 3, 100_000_000 + 200 * i, week, 9, 150, *place, 0, 0, 0.0, boot + 30
+        )
+        out += b"\xa3\x95\x84" + struct.pack("<IhhhhHHHH", boot, 0, 100, 0, 0, 0, 9000, 0, 0)
+    return out
+
+
+@pytest.mark.parametrize(("week", "leap"), [(1690, 15), (1840, 16), (1850, 17), (2300, 18)])
+def test_an_old_dataflash_log_has_the_leap_seconds_of_its_day(tmp_path, week, leap):
+    path = tmp_path / "old.bin"
+    path.write_bytes(old_dataflash(week))
+    log = DataFlashLog(path, MavlinkParameters(gnss_delay_s=0.03))
+    records = list(log.records())
+    fixes = [r for r in records if isinstance(r, Fix)]
+    imus = [r for r in records if isinstance(r, ImuSample)]
+    epoch = (315_964_800 - leap + week * 604_800 + 100_000) * S
+    assert [f.t_ns - epoch for f in fixes] == [200_000_000 * i for i in range(60)]
+    assert fixes[0].latitude_deg == pytest.approx(-35.3633) and fixes[0].height_m == 584.0
+    assert [i.t_ns - epoch for i in imus] == pytest.approx([2e8 * i for i in range(60)], abs=2e6)
+    assert not log.losses.as_dict()
+
+
 def test_both_kinds_of_log_are_read_alike(tmp_path):
     vehicle = Vehicle()
     for ms in range(1000, 9000, 100):

@@ -35,9 +35,10 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.records import F64, Fix, ImuSample
 
-#: GPS epoch 1980-01-06 in UTC seconds, and the seconds GPS time is ahead of UTC (since 2017, ICAO
-#: and IERS Bulletin C).
-GPS_EPOCH_S, LEAP_S = 315_964_800, 18
+#: GPS epoch 1980-01-06 in UTC seconds, and from which GPS second on GPS time is so many seconds
+#: ahead of UTC (IERS Bulletin C).
+GPS_EPOCH_S = 315_964_800
+LEAPS = ((1_167_264_017, 18), (1_119_744_016, 17), (1_025_136_015, 16), (0, 15))
 WANTED = frozenset({"GPS", "GPS2", "GPA", "GPA2", "POS", "ATT", "IMU"})
 #: Every message begins with these; the one that defines the others has a number and a layout of its
 #: own.
@@ -252,12 +253,22 @@ class DataFlashLog:
 
 
 def _time_us(m: Any) -> int:
-    return int(m.TimeUS)
+    """Time since boot. Logs before 2015 have milliseconds; their GPS has those of the week there,
+    and the time since boot as T.
+    """
+    known = getattr(m, "TimeUS", None)
+    if known is not None:
+        return int(known)
+    return 1000 * int(m.T if m.get_type() in ("GPS", "GPS2") else m.TimeMS)
 
 
 def _epoch_ns(m: Any) -> int | None:
     """UTC of a GPS message's epoch; None before the receiver knows the week."""
-    week, ms = getattr(m, "GWk", 0), getattr(m, "GMS", 0)
+    week, ms = getattr(m, "GWk", None), getattr(m, "GMS", None)
+    if week is None:
+        week, ms = getattr(m, "Week", 0), getattr(m, "TimeMS", 0)
     if not isinstance(week, int) or not isinstance(ms, int) or week <= 0:
         return None
-    return (GPS_EPOCH_S - LEAP_S + week * 604_800) * S + ms * 1_000_000
+    second = week * 604_800 + ms // 1000
+    leap = next(seconds for begin, seconds in LEAPS if second >= begin)
+    return (GPS_EPOCH_S - leap + week * 604_800) * S + ms * 1_000_000

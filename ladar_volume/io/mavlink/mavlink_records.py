@@ -224,6 +224,8 @@ class MavlinkDecoder:
         )
 
     def _heartbeat(self, m: Any) -> None:
+        if m.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+            return  # a camera's or a computer's, where any component is listened to
         self.ardupilot = m.autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
 
     def _system_time(self, m: Any) -> None:
