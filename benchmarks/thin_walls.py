@@ -14,7 +14,12 @@ import sys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.clouds.body_checks import check_bodies, check_doubts, uncertainty
+from ladar_volume.clouds.body_checks import (
+    check_bodies,
+    check_doubts,
+    check_thin_walls,
+    uncertainty,
+)
 from ladar_volume.clouds.body_points import filtered_points
 from ladar_volume.clouds.body_verdict import bodies_verdict
 from ladar_volume.clouds.body_walls import wall_doubts
@@ -88,6 +93,7 @@ def measured(shape: str, noise_m: float, seed: int) -> tuple[float, float, str]:
         label, options = np.zeros(len(of.r), np.int64), BodyParameters()
         made = cloud_bodies(of.r, of.normal, of.curved, label, None, options)
         made, checked = check_bodies(made, of, raw, options)
+        check_thin_walls(made, checked, of)
         known = uncertainty(made, checked, of, raw)
     except LadarVolumeError as error:
         return np.nan, np.nan, f"refused: {error.reason}"

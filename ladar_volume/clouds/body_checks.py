@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.body_points import BodyPoints, halves
 from ladar_volume.clouds.body_volume import Body, Uncertain, cloud_uncertainty, mesh_uncertainty
+from ladar_volume.clouds.body_walls import shape_lines, thin_walls
 from ladar_volume.clouds.cloud_bodies import CloudBodies, body_at
 from ladar_volume.model.body_parameters import SHARP_RAD, BodyParameters, LocalMeshParameters
 from ladar_volume.model.errors import SurfaceError, VolumeError
@@ -148,16 +149,36 @@ def uncertainty(
     mean = np.array([np.mean(c.between_m3) if c.between_m3 else 0.0 for c in checked])
     own = np.array([np.var(c.between_m3) if c.between_m3 else 0.0 for c in checked])
     fit = np.array([c.fit_m6 for c in checked])
+    shape = shape_lines(made, points)
+    alone = np.array([sum(lines.values()) for lines in shape])
     # plants lift the base of all bodies
     grown = growth_m * np.array([b.by_ground[0] if growth_m else 0.0 for b in made.bodies])
     budget = []
     for k, lines in enumerate(start.budget_m6):
-        more = {"fit": float(fit[k]), "between": float(mean[k] ** 2 + own[k])}
+        more = {"fit": float(fit[k]), "between": float(mean[k] ** 2 + own[k]), **shape[k]}
         budget.append(
             {**lines, **more} | ({"vegetation": float(grown[k] ** 2)} if growth_m else {})
         )
     common = np.outer(mean, mean) + np.outer(grown, grown)
-    return Uncertain(start.C_m6 + common + np.diag(own + fit), tuple(budget))
+    return Uncertain(start.C_m6 + common + np.diag(own + fit + alone), tuple(budget))
+
+
+def check_thin_walls(
+    made: CloudBodies, checked: Sequence[FilterComparison], points: BodyPoints
+) -> None:
+    """Raises :class:`SurfaceError` (body_thin_wall; value: share) for a thin-walled body that half
+    of its points do not make: its sheets may then be joined wrongly in the whole, too.
+    """
+    for k, (share, thin_m) in enumerate(thin_walls(made, points)):
+        if share and checked[k].failure:
+            raise SurfaceError(
+                f"{100 * share:.0f} % of the surface of body {k + 1} has a wall behind it thinner "
+                f"than {thin_m:.3g} m, two thirds of the filter's reach, and half of its points do "
+                f"not always make a body ({checked[k].failure}): its two sides cannot be told "
+                "apart; scan it more densely",
+                reason="body_thin_wall",
+                value=share,
+            )
 
 
 def check_doubts(checked: Sequence[FilterComparison]) -> tuple[Doubt, ...]:

@@ -4,7 +4,7 @@ so thin that the filter's reach takes in both sides.
 A fit that reaches over two sheets is of planes, since one quadric holds only one of them: coarse
 facets where the curvature is strong. And of a face narrower than its reach, as the end of a pipe,
 it has too few points to tell it from its neighbours, which round the edges there by about the
-noise.
+noise. Both are lines of the budget: ``facets`` and ``undercut``.
 """
 
 from __future__ import annotations
@@ -28,31 +28,43 @@ UNSEEN = 0.05
 #: A wall thinner than this share of the filter's reach is thin; share of the surface that may have
 #: one behind it; points asked, and the cosine from which on two of them face away from each other.
 THIN, MAY_BE_THIN, ASKED, AWAY = 2.0 / 3.0, 0.1, 2000, -0.7
+#: A triangle off the faces of one of its corners by less than this cosine cuts an edge off.
+CUT_OFF = 0.7
+#: Share of what the facets of a curved surface were off their points that may be left.
+FACETS_LEFT = 0.2
 #: Share of the mesh's edges between planes that meet at angles from the first to the second that
 #: makes a surface curved.
 CURVED, SHALLOW_RAD, STEEP_RAD = 0.05, float(np.radians(10.0)), float(np.radians(60.0))
+
+
+def undercuts(made: CloudBodies, points: BodyPoints) -> list[float]:
+    """Of each body the share of what it is closed on under which the ground is seen; 0 where it is
+    less than :data:`UNDERCUT`.
+    """
+    if made.ground is None or not len(made.ground.support):
+        return [0.0] * len(made.bodies)
+    floor = points.r[made.ground.support]
+    shares = (
+        seen_under(body, floor, float(mesh.report["spacing_m"]))
+        for body, mesh in zip(made.bodies, made.meshes, strict=True)
+    )
+    return [share if share > UNDERCUT else 0.0 for share in shares]
 
 
 def foot_doubts(made: CloudBodies, points: BodyPoints) -> tuple[Doubt, ...]:
     """Doubt about bodies under which the ground is seen: what they stand on is less than what they
     are closed on.
     """
-    if made.ground is None or not len(made.ground.support):
-        return ()
-    doubts = []
-    floor = points.r[made.ground.support]
-    for k, (body, mesh) in enumerate(zip(made.bodies, made.meshes, strict=True), 1):
-        share = seen_under(body, floor, float(mesh.report["spacing_m"]))
-        if share > UNDERCUT:
-            doubts.append(
-                Doubt(
-                    "body_undercut",
-                    f"the ground is seen under {100 * share:.0f} % of what body {k} is closed on: "
-                    "it is hollow there, and its volume too large; scan its underside",
-                    share,
-                )
-            )
-    return tuple(doubts)
+    return tuple(
+        Doubt(
+            "body_undercut",
+            f"the ground is seen under {100 * share:.0f} % of what body {k} is closed on: "
+            "it is hollow there, and its volume too large; scan its underside",
+            share,
+        )
+        for k, share in enumerate(undercuts(made, points), 1)
+        if share
+    )
 
 
 def closing_doubts(made: CloudBodies) -> tuple[Doubt, ...]:
@@ -112,28 +124,69 @@ def inside_edges(p: F64, a: F64, b: F64, away_m: float) -> Bool:
     return inside & far
 
 
+def thin_walls(made: CloudBodies, points: BodyPoints) -> list[tuple[float, float]]:
+    """Of each body the share of its surface that has a thin wall behind it, 0 where it is not
+    curved or less than :data:`MAY_BE_THIN`; and what counts as thin, m.
+    """
+    f, out = points.filtered, []
+    for body, rows in zip(made.bodies, made.sources, strict=True):
+        share = thin_m = 0.0
+        if f is not None and f.reach is not None and curved_by_planes(body, f.normal[rows]):
+            thin_m = THIN * float(np.median(f.reach[rows]))
+            share = thin_share(body, thin_m)
+        out.append((share if share > MAY_BE_THIN else 0.0, thin_m))
+    return out
+
+
 def wall_doubts(made: CloudBodies, points: BodyPoints) -> tuple[Doubt, ...]:
     """Doubt about bodies with curved walls thinner than two thirds of the filter's reach."""
-    f = points.filtered
-    if f is None or f.reach is None:
-        return ()
-    doubts = []
-    for k, (body, rows) in enumerate(zip(made.bodies, made.sources, strict=True), 1):
-        thin_m = THIN * float(np.median(f.reach[rows]))
-        if not curved_by_planes(body, f.normal[rows]):
-            continue
-        share = thin_share(body, thin_m)
-        if share > MAY_BE_THIN:
-            doubts.append(
-                Doubt(
-                    "body_thin_wall",
-                    f"{100 * share:.0f} % of the surface of body {k} has a wall behind it thinner "
-                    f"than {thin_m:.3g} m, two thirds of the filter's reach, so its edges are "
-                    "hardly known: scan it more densely",
-                    share,
-                )
-            )
-    return tuple(doubts)
+    return tuple(
+        Doubt(
+            "body_thin_wall",
+            f"{100 * share:.0f} % of the surface of body {k} has a wall behind it thinner "
+            f"than {thin_m:.3g} m, two thirds of the filter's reach, so its edges are "
+            "hardly known: scan it more densely",
+            share,
+        )
+        for k, (share, thin_m) in enumerate(thin_walls(made, points), 1)
+        if share
+    )
+
+
+def shape_lines(made: CloudBodies, points: BodyPoints) -> list[dict[str, float]]:
+    """Of each body the variances, m⁶, of what its shape leaves open.
+
+    facets : planes stand in for a curved surface. What they were off their points was put back but
+    for a fifth at most, and edges stay cut off: by a quarter of the spacing on the mean over the
+    triangles that leave the face of one of their corners · undercut : it is hollow below, so that
+    all that closed it on the ground may be too much.
+    """
+    out: list[dict[str, float]] = []
+    for k, (body, share) in enumerate(zip(made.bodies, undercuts(made, points), strict=True)):
+        lines, f = {}, points.filtered
+        normal = None if f is None else f.normal[made.sources[k]]
+        if normal is not None and curved_by_planes(body, normal):
+            spacing_m = float(made.meshes[k].report["spacing_m"])
+            cut_m3 = 0.25 * spacing_m * cut_off_m2(body, normal)
+            lines["facets"] = cut_m3**2 + (FACETS_LEFT * body.fit_m3) ** 2
+        if share:
+            low_m3 = sum(c.closed_m3 for c in body.closures if c.kind == GROUND)
+            lines["undercut"] = low_m3**2 / 3.0
+        out.append(lines)
+    return out
+
+
+def cut_off_m2(body: Body, normal: F64) -> float:
+    """Area of the triangles between measured vertices with normals (k, 3) that leave the face of
+    one of them.
+    """
+    t = body.skin.triangles
+    t = t[(t < len(normal)).all(axis=1)]
+    a, b, c = (body.skin.vertices[corner] for corner in t.T)
+    across = np.cross(b - a, c - a)
+    twice = np.linalg.norm(across, axis=1)
+    along = np.abs(np.einsum("ti,tki->tk", across, normal[t]))
+    return 0.5 * float(twice[(along < CUT_OFF * twice[:, None]).any(axis=1)].sum())
 
 
 def curved_by_planes(body: Body, normal: F64) -> bool:

@@ -1,12 +1,16 @@
 """What sigma of a body holds beside the noise, and what its shape says against its volume."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere
 
 from ladar_volume.clouds.body_checks import (
+    FilterComparison,
     check_bodies,
     check_doubts,
+    check_thin_walls,
     off_points,
     uncertainty,
 )
@@ -19,12 +23,19 @@ from ladar_volume.clouds.body_points import (
     unfiltered_points,
 )
 from ladar_volume.clouds.body_volume import body_of
-from ladar_volume.clouds.body_walls import foot_doubts, seen_under, thin_share
+from ladar_volume.clouds.body_walls import (
+    cut_off_m2,
+    foot_doubts,
+    seen_under,
+    shape_lines,
+    thin_share,
+)
 from ladar_volume.clouds.cloud_bodies import CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.mesh.unseen_foot import between_tangent_and_circle
 from ladar_volume.model.body_parameters import BodyParameters
+from ladar_volume.model.errors import SurfaceError
 
 BALL_M3 = 4.0 / 3.0 * np.pi
 
@@ -165,6 +176,44 @@ def test_ground_seen_under_a_body_is_doubted():
     made = CloudBodies((body,), (np.arange(3),), (mesh,), (0,), ground)
     (doubt,) = foot_doubts(made, BodyPoints(under, None, None, None))
     assert doubt.name == "body_undercut" and "underside" in doubt.text
+    # a ball that was closed like a bell: the truth lies within two of them
+    (lines,) = shape_lines(made, BodyPoints(under, None, None, None))
+    cap = np.pi * 0.4**2 * (3.0 - 0.4) / 3.0
+    off = body.volume_m3 - (4.0 / 3.0 * np.pi - cap)
+    assert lines == {"undercut": pytest.approx(body.closures[0].closed_m3 ** 2 / 3.0)}
+    assert 0.0 < off < 2.0 * np.sqrt(lines["undercut"])
+
+
+def test_edges_that_stay_cut_off_are_in_sigma():
+    """Triangles along the faces of all their corners cut nothing off; where one corner's normal is
+    that of another face, they do.
+    """
+    v, t = sphere(1000)
+    body = body_of(v, t)
+    assert cut_off_m2(body, v) == 0.0
+    turned = v.copy()
+    turned[0] = np.cross(v[0], (0.3, 0.5, 0.8))
+    turned[0] /= np.linalg.norm(turned[0])
+    around = t[(t == 0).any(axis=1)]
+    a, b, c = (v[around[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    assert cut_off_m2(body, turned) == pytest.approx(area)
+    assert cut_off_m2(body, -v) == 0.0
+
+
+def test_a_thin_wall_that_half_of_its_points_do_not_make_is_refused():
+    v, t = sphere(1000)
+    disc = body_of(v * (1.0, 1.0, 0.05), t)
+    planes = np.round(2.0 * v)  # coarse facets
+    planes /= np.maximum(np.linalg.norm(planes, axis=1), 1e-9)[:, None]
+    made = CloudBodies((disc,), (np.arange(len(v)),), (None,), (0,), None)
+    f = type("Filtered", (), {"normal": planes, "reach": np.full(len(v), 0.3)})()
+    points = BodyPoints(v, planes, None, None, 0.0, f)
+    whole = FilterComparison(0.0, 0.0, (0.0,), 3)
+    check_thin_walls(made, (whole,), points)
+    with pytest.raises(SurfaceError) as error:
+        check_thin_walls(made, (dataclasses.replace(whole, failure="a gap"),), points)
+    assert error.value.reason == "body_thin_wall" and "a gap" in str(error.value)
 
 
 def test_thin_walls_are_told_from_thick_ones():
