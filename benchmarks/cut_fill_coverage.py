@@ -70,7 +70,7 @@ def row(z: F64) -> str:
     )
 
 
-def run(draws: int = 100, points: int = 1500) -> dict[str, float | int | str]:
+def run(draws: int = 300, points: int = 1500) -> dict[str, float | int | str]:
     """The figures of docs/cutfill.md."""
     out: dict[str, float | int | str] = {"draws of each": draws, "points of each survey": points}
     for ratio, name in ((1.0, "full"), (1.0 / 3.0, "partial")):

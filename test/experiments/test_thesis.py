@@ -114,7 +114,8 @@ def test_tables_figure_and_verb(study, tmp_path, monkeypatch, capsys):
     )  # the misprint of Table 9.3 is not repeated
     monkeypatch.setattr(thesis, "run", lambda seeds, large, progress: study)
     monkeypatch.setattr(thesis_figures, "write_figures", lambda folder, large: [])
-    assert cli.main(["study", "thesis", "--seeds", "1", "-o", str(tmp_path / "out"), "--json"]) == 0
+    words = ["--seeds", "1", "--large", "2000", "-o", str(tmp_path / "out"), "--json"]
+    assert cli.main(["study", "thesis", *words]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (
         facts["box"]["volume_m3"] == pytest.approx([1.0], abs=0.01)

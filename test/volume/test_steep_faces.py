@@ -37,7 +37,9 @@ def told(profile, steep=False, share=1.0):
 @pytest.mark.parametrize(("wide", "high"), [(0.06, 1.2), (0.2, 0.5), (0.01, 3.0)])
 def test_a_face_may_stand_anywhere_between_its_upper_and_lower_points(wide, high):
     found = told([(-1.0, high), (0.0, high), (wide, 0.0), (1.0, 0.0)])
-    assert found.sigma_m3 == pytest.approx(LONG * high * wide / math.sqrt(12.0))
+    # two triangles: a half alike, all of either's own range
+    share = math.sqrt(0.5**2 + 2 * 0.5**2)
+    assert found.sigma_m3 == pytest.approx(share * LONG * high * wide / math.sqrt(12.0))
     assert found.apart_m == pytest.approx(wide)
     assert (found.x_m, found.y_m) == pytest.approx((wide / 2.0, LONG / 2.0))
     half = told([(-1.0, high), (0.0, high), (wide, 0.0), (1.0, 0.0)], share=0.5)
@@ -48,7 +50,8 @@ def test_points_on_a_face_tell_where_it_is():
     heights = np.linspace(1.2, 0.0, 5)
     seen = told([*zip(np.linspace(0.0, 0.08, 5), heights, strict=True)])
     bare = told([(0.0, 1.2), (0.08, 0.0)])
-    assert seen.sigma_m3 == pytest.approx(bare.sigma_m3 / 4.0)
+    alike = math.sqrt((0.5**2 + 1 / 8) / (0.5**2 + 1 / 2))
+    assert seen.sigma_m3 == pytest.approx(alike * bare.sigma_m3 / 4.0)
     assert seen.apart_m == pytest.approx(0.02)
 
 

@@ -43,8 +43,7 @@ def add_parser(subparsers: Verbs) -> None:
         description="A cloud is filtered, its ground found, each object on it meshed, its edges "
         "completed and its unseen bottom closed on "
         "the ground; a mesh file is taken as it is, and closed where it is open. Lengths "
-        "in m. Values that begin with a minus need =: "
-        "--pick=-1,0,2.",
+        "in m.",
     )
     _add_files(parser, kinds)
     _add_objects(parser)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from typing import NoReturn, TypeAlias
 
@@ -16,6 +17,8 @@ Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 MESSAGE = 300
 #: Characters of its end that a shortened error keeps: there it says what to do.
 END = 80
+#: A number or coordinates that begin with a minus: no option.
+NEGATIVE = re.compile(r"-\.?\d[\d.,eE+-]*$")
 
 
 def printable(text: str) -> str:
@@ -38,6 +41,8 @@ class Parser(argparse.ArgumentParser):
     """Refuses a command line in one line, and takes options between file names."""
 
     _mixing = False
+
+    _negative_number_matcher = property(lambda self: NEGATIVE, lambda self, value: None)
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None

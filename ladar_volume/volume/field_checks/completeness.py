@@ -14,6 +14,7 @@ from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
+from ladar_volume.volume.field_checks.steep_faces import faces_to_base
 from ladar_volume.volume.outline import bodies
 
 #: Directions around a body that are told apart, and the widest gap in them without ground.
@@ -65,6 +66,13 @@ def steep(normal: F64) -> Bool:
     """Which of the vertices with these normals (n, 3) lie on steep faces."""
     out: Bool = np.abs(normal[:, 2]) < STEEP
     return out
+
+
+def stands_on_faces(tin: Tin, base: Plane, inside: Bool, least_m: float) -> bool:
+    """Whether steep faces bound a body nearly all round, as those of a box, seen or not."""
+    centre = tin.vertices[vertex_mask(tin, inside), :2].mean(axis=0)
+    at = directions(faces_to_base(tin, base, inside, least_m), centre)
+    return len(np.unique(at)) > WALLED[1] * DIRECTIONS
 
 
 def wall_doubts(tin: Tin, base: Plane, inside: Bool, on_face: Bool, least_m: float) -> list[Doubt]:
@@ -124,7 +132,9 @@ def completeness_doubts(
     inside = inside_m2 > 0.0
     out = cut_doubts(tin, base, inside, sigma_m3, parameters)
     if parameters.volume.outline == "auto":
-        out += wall_doubts(tin, base, inside, on_face, parameters.volume.object_height_m)
+        least_m = parameters.volume.object_height_m
+        if not stands_on_faces(tin, base, inside, least_m):
+            out += wall_doubts(tin, base, inside, on_face, least_m)
     return [
         *out,
         *body_doubts(tin, base, inside, sigma_m3, parameters),

@@ -287,8 +287,11 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     """The volume of a body, part (m,) m² of each triangle, with what its steep faces may hide or
     add. on_face : (n,) vertices on them · kind : what is measured.
     """
-    if any(doubt.name in ("wall", "object") for doubt in volume.verdict.doubts):
+    doubted = {doubt.name: doubt.value or 0.0 for doubt in volume.verdict.doubts}
+    if "wall" in doubted:
         return with_line(volume, "wall", wall_m6(tin, part))
+    if "object" in doubted:  # no more of it can be left, or be missing, than what was taken out
+        volume = with_line(volume, "wall", min(wall_m6(tin, part), doubted["object"] ** 2))
     found = steep_faces(tin, part, on_face)
     if found is None or found.sigma_m3 < NEGLIGIBLE * volume.sigma_m3:
         return volume

@@ -3,8 +3,10 @@
 Few returns lie on a steep face, and a surface of one height per place draws it between a point
 above and one below. In between, the true face may stand anywhere: each steep triangle may count
 from its lowest corner to its highest over all of its footprint. With a uniform distribution its
-variance is that of a rectangle (GUM 4.3.7). What makes the error, trimmed edges and a filter that
-bends around them, is the same all round a body: triangles err alike.
+variance is that of a rectangle (GUM 4.3.7). Where the points happen to lie is each triangle's own.
+Trimmed edges, and a filter that bends around them, are the same all round a body: half of the range
+errs alike. In 23 simulated surveys of boxes, trucks and walls without other errors the volume was
+off by 0.29 of a range that errs alike as a whole (root mean square).
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.volume.field_checks.standing_objects import STEP_M
 
@@ -23,6 +26,8 @@ FACE = 0.64
 #: How far the true face of a wall may lie from where it is counted, one standard deviation, m: half
 #: of a usual wall.
 WALL_M = 0.25
+#: Share of the range of steep triangles in which all of a body err alike.
+ALIKE = 0.5
 #: The doubt: so many times all else, and more than this share of the volume.
 TIMES, SHARE = 3.0, 0.005
 #: Less than this share of all else is no line: single slivers at a toe.
@@ -75,7 +80,21 @@ def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:
     # rise · flat / upright is a triangle's extent along its fall
     apart = float((flat * rise).sum() / upright.sum())
     x, y = np.average(tin.vertices[t, :2].mean(axis=1), axis=0, weights=upright).tolist()
-    return SteepFaces(float(unsure.sum()) / math.sqrt(12.0), apart, x, y)
+    sigma = math.sqrt(((ALIKE * unsure.sum()) ** 2 + (unsure**2).sum()) / 12.0)
+    return SteepFaces(sigma, apart, x, y)
+
+
+def faces_to_base(tin: Tin, base: Plane, inside: Bool, least_m: float) -> F64:
+    """Places (k, 2) on steep triangles inside (m,) that are higher than a step and come down to
+    within ``least_m`` of the base: faces that few or no returns lie on.
+    """
+    rows = np.flatnonzero(inside)
+    area, flat = face_areas(tin, rows)
+    height = height_above(tin.vertices, base)[tin.triangles[rows]]
+    high = (np.ptp(height, axis=1) > STEP_M) & (height.min(axis=1) < least_m)
+    corners = tin.vertices[tin.triangles[rows[high & (flat < FACE * area)]], :2]
+    sides = 0.5 * (corners + np.roll(corners, -1, axis=1))
+    return np.asarray(np.concatenate([corners, sides]).reshape(-1, 2))
 
 
 def edge_doubts(found: SteepFaces, volume_m3: float, sigma_m3: float) -> list[Doubt]:
