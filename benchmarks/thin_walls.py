@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from ladar_volume.clouds.body_checks import (
     check_bodies,
     check_doubts,
-    check_thin_walls,
     uncertainty,
 )
 from ladar_volume.clouds.body_points import filtered_points
@@ -93,7 +92,6 @@ def measured(shape: str, noise_m: float, seed: int) -> tuple[float, float, str]:
         label, options = np.zeros(len(of.r), np.int64), BodyParameters()
         made = cloud_bodies(of.r, of.normal, of.curved, label, None, options)
         made, checked = check_bodies(made, of, raw, options)
-        check_thin_walls(made, checked, of)
         known = uncertainty(made, checked, of, raw)
     except LadarVolumeError as error:
         return np.nan, np.nan, f"refused: {error.reason}"

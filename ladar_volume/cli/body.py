@@ -23,7 +23,6 @@ from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.clouds.body_checks import (
     check_bodies,
     check_doubts,
-    check_thin_walls,
     uncertainty,
 )
 from ladar_volume.clouds.body_points import (
@@ -221,7 +220,6 @@ def bodies_of_cloud(a: argparse.Namespace, console: Console) -> tuple[dict[str, 
         )
         status.update("propagating the noise")
         made, checked = check_bodies(made, points, raw, options)
-        check_thin_walls(made, checked, points)
         growth_m = growth_about_bodies(raw, made, points)
         uncertain = uncertainty(made, checked, points, raw, growth_m)
     facts = cloud_facts(a.source.name, len(raw), points, made, found, uncertain)

@@ -110,7 +110,7 @@ def check_bodies(
     made: CloudBodies, points: BodyPoints, raw: F64, options: BodyParameters
 ) -> tuple[CloudBodies, tuple[FilterComparison, ...]]:
     """The bodies with what their surfaces were off their points put right, and what was found of
-    each. raw : (n, 3) m, the cloud before the filter
+    each. raw : (n, 3) m, the cloud before the filter. Raises as :func:`check_thin_walls`.
     """
     bodies, found = [], []
     for body, rows, mesh in zip(made.bodies, made.sources, made.meshes, strict=True):
@@ -123,6 +123,7 @@ def check_bodies(
         found.append(FilterComparison(fit_m3, fit_m6, between, tried, failed))
         volume = body.volume_m3 + fit_m3
         bodies.append(dataclasses.replace(body, volume_m3=volume, fit_m3=fit_m3))
+    check_thin_walls(made, found, points)
     return dataclasses.replace(made, bodies=tuple(bodies)), tuple(found)
 
 

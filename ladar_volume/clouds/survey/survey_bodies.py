@@ -20,7 +20,6 @@ import numpy as np
 from ladar_volume.clouds.body_checks import (
     check_bodies,
     check_doubts,
-    check_thin_walls,
     uncertainty,
 )
 from ladar_volume.clouds.body_points import (
@@ -187,7 +186,6 @@ def mesh_returns(raw: F64, parameters: Parameters) -> MeshedReturns:
     options = BodyParameters()
     made = cloud_bodies(points.r, points.normal, points.curved, even, ground, options)
     made, checked = check_bodies(made, points, raw, options)
-    check_thin_walls(made, checked, points)
     growth_m = growth_about_bodies(raw, made, points)
     known = uncertainty(made, checked, points, raw, growth_m)
     if known is None:
