@@ -12,7 +12,7 @@ import pytest
 from benchmarks.pits import pit
 from ladar_volume.cli.main import main
 from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
-from test.experiments.test_seeds_page import DOORS, ROOT
+from test.scenes.seeds_page import DOORS, ROOT
 
 #: What takes too long here is opened by the tests named.
 ELSEWHERE = {

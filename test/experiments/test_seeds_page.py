@@ -2,8 +2,6 @@
 
 import argparse
 import ast
-import re
-from pathlib import Path
 
 import pytest
 
@@ -11,15 +9,8 @@ from ladar_volume.cli.main import MODULES, make_parser
 from ladar_volume.model.cloud_filter_parameters import PublishedFilterParameters
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import Parameters
+from test.scenes.seeds_page import DOORS, PAGE, ROOT, ROWS
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "seeds.md").read_text(encoding="utf-8")
-ROWS = [
-    [cell.strip() for cell in line.strip("|").split("|")]
-    for line in PAGE.splitlines()
-    if line.startswith("| ") and not line.startswith("| what ")
-]
-DOORS = sorted({word for row in ROWS for word in re.findall(r"`([^`]+)`", row[1])})
 KEYS = {
     **{name: type(value) for name, value in vars(Parameters()).items()},
     "filter": PublishedFilterParameters,
