@@ -56,10 +56,10 @@ class Body:
     curves chords · edge_m3, curvature_m3 : the corrections · closed_m3 : between the rims, spanned
     from their middles, and what closes them · centroid_map : (3,) m · skin : the closed mesh ·
     closed : its volume without curvature, gradient, parts, independence of the pole · closures :
-    what was closed · edge_vertices : how many vertices complete edges · may_cross : whether
-    triangles may cross · gradient : (k, 3) m², by the measured vertices · by_ground : (3,), by the
-    ground's height and slopes · fit_m3 : the part of the volume by which the filter's surfaces are
-    off their points (:mod:`~ladar_volume.clouds.body_checks`)
+    what was closed · edge_vertices : how many vertices complete edges · gradient : (k, 3) m², by
+    the measured vertices · by_ground : (3,), by the ground's height and slopes · fit_m3 : the part
+    of the volume by which the filter's surfaces are off their points
+    (:mod:`~ladar_volume.clouds.body_checks`)
     """
 
     volume_m3: float
@@ -72,7 +72,6 @@ class Body:
     closed: ClosedVolume
     closures: tuple[Closure, ...]
     edge_vertices: int
-    may_cross: bool
     gradient: F64
     by_ground: F64
     fit_m3: float = 0.0
@@ -142,7 +141,6 @@ def body_of(
         closed,
         tuple(closures),
         added,
-        allow_crossings,
         by_measured,
         closed.gradient.ravel() @ skin.by_ground,
     )
@@ -197,7 +195,7 @@ def published_body(mesh: LocalMesh, pole_map: F64 | None = None) -> Body:
     skin = LinearMesh(v, t, unknown, kind, still, face, direct, by_ground)
     none = np.zeros(3)
     centre = solid_centroid(v, closed)
-    return Body(volume, volume, 0.0, 0.0, 0.0, centre, skin, closed, (), 0, False, gradient, none)
+    return Body(volume, volume, 0.0, 0.0, 0.0, centre, skin, closed, (), 0, gradient, none)
 
 
 def solid_centroid(vertices: F64, closed: ClosedVolume) -> F64:

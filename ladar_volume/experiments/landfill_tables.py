@@ -13,7 +13,7 @@ from ladar_volume.experiments.landfill import Study, registered_scans, size_shar
 from ladar_volume.experiments.landfill_scene import LAYER_M, make_layer
 from ladar_volume.experiments.nist.nist_figures import panels
 from ladar_volume.experiments.nist.nist_tables import markdown, with_spread
-from ladar_volume.model.errors import OutputError
+from ladar_volume.report.plates import save_figure
 
 
 def volumes(study: Study) -> str:
@@ -212,10 +212,5 @@ def write_figures(study: Study, folder: Path) -> list[str]:
     """The figures as PNG; returns their names. Raises :class:`OutputError`."""
     names = []
     for name, make in (("section", profiles), ("errors", errors), ("resolution", coastline)):
-        path = folder / f"{name}.png"
-        try:
-            make(study).savefig(path, dpi=110)
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written: {error}", value=str(path)) from error
-        names.append(path.name)
+        names.append(save_figure(make(study), folder / f"{name}.png"))
     return names

@@ -26,7 +26,7 @@ from ladar_volume.experiments.stockpile import (
     position_sigmas,
 )
 from ladar_volume.georeference.error_budget import PRESETS
-from ladar_volume.model.errors import OutputError
+from ladar_volume.report.plates import save_figure
 
 FIGURE = "precision.png"
 
@@ -174,10 +174,4 @@ def write_figure(folder: Path) -> str:
             ylim=(5e-4, 2.0),
         )
         ax.legend(fontsize=7, ncols=2)
-    try:
-        figure.savefig(folder / FIGURE, dpi=110)
-    except OSError as error:
-        raise OutputError(
-            f"{folder / FIGURE} cannot be written: {error}", value=str(folder)
-        ) from error
-    return FIGURE
+    return save_figure(figure, folder / FIGURE)

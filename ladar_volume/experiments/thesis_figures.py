@@ -21,9 +21,9 @@ from ladar_volume.experiments.thesis import GROUND_THRESHOLD_M, tetrahedra_sum
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.local_mesh import BOX, FOUNTAIN, SPHERE, LocalMesh, mesh_cloud
 from ladar_volume.model.body_parameters import LocalMeshParameters
-from ladar_volume.model.errors import OutputError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I32, Bool
+from ladar_volume.report.plates import save_figure
 
 #: From where clouds are seen: azimuth and elevation, radians; the light comes from the viewer.
 AZIMUTH_RAD, ELEVATION_RAD = float(np.radians(-55.0)), float(np.radians(30.0))
@@ -153,9 +153,5 @@ def write_figures(folder: Path, large: int) -> list[str]:
         figure, axes = panels(1, 1, 6.4, 4.8)
         draw(axes[0, 0])
         path = folder / f"figure_{number.replace('.', '_')}.png"
-        try:
-            figure.savefig(path, dpi=130)
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written: {error}", value=str(path)) from error
-        names.append(path.name)
+        names.append(save_figure(figure, path, dpi=130))
     return names

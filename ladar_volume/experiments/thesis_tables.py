@@ -12,7 +12,7 @@ from ladar_volume.experiments.nist.nist_tables import markdown, with_spread
 from ladar_volume.experiments.thesis import Body, Field, Study, errors_pct
 from ladar_volume.experiments.thesis_scene import BOX_M3, SPHERE_M3, SQUARE_POINTS
 from ladar_volume.model.choices import REPAIRS
-from ladar_volume.model.errors import OutputError
+from ladar_volume.report.plates import save_figure
 
 #: Names of the ways to repair as printed.
 NAMES = {
@@ -218,9 +218,4 @@ def write_figure(study: Study, folder: Path) -> str:
             xlabel="error of the volume / %",
             title=f"{name}; crosses: published",
         )
-    path = folder / "volumes.png"
-    try:
-        figure.savefig(path, dpi=110)
-    except OSError as error_:
-        raise OutputError(f"{path} cannot be written: {error_}", value=str(path)) from error_
-    return path.name
+    return save_figure(figure, folder / "volumes.png")

@@ -72,15 +72,6 @@ def laser_vector(range_m: Numbers, azimuth_rad: Numbers, vertical_rad: Numbers) 
     )
 
 
-def laser_angles(r_laser: F64) -> tuple[F64, F64, F64]:
-    """r_laser (..., 3), m -> range (m), azimuth and vertical angle (rad); the inverse of
-    :func:`laser_vector`.
-    """
-    x, y, z = np.moveaxis(r_laser, -1, 0)
-    horizontal = np.hypot(x, y)
-    return np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal)
-
-
 def angle_derivatives(r_laser: Numbers) -> Any:
     """``d r_laser / d (range, azimuth, vertical)``: (..., 3) -> (..., 3, 3), one column per
     measurement.

@@ -26,23 +26,6 @@ from ladar_volume.model.records import F64, I64, Plane
 MAIN_SHARE = 0.1
 
 
-def find_grounds(
-    points: F64,
-    variance: F64,
-    parameters: GroundParameters,
-    coarse_m: float = COARSE_M,
-    select: I64 | None = None,
-) -> tuple[Plane, ...]:
-    """Up to ``parameters.surfaces`` ground surfaces, first the one of :func:`fit_ground`, then the
-    largest of what is left.
-
-    Arguments as of :func:`fit_ground`; ``support`` of each indexes ``points``, and no point
-    supports two. Raises :class:`GroundError` where there is not even one.
-    """
-    main = fit_ground(points, variance, parameters, coarse_m, select)
-    return (main, *further_grounds(points, variance, main, parameters, coarse_m, select))
-
-
 def further_grounds(
     points: F64,
     variance: F64,
@@ -51,7 +34,12 @@ def further_grounds(
     coarse_m: float = COARSE_M,
     select: I64 | None = None,
 ) -> tuple[Plane, ...]:
-    """The ground surfaces beside a given one, ``parameters.surfaces - 1`` at most."""
+    """The ground surfaces beside the one of :func:`fit_ground`, ``parameters.surfaces - 1`` at
+    most, the largest of what is left first.
+
+    Arguments as of :func:`fit_ground`; ``support`` of each indexes ``points``, and no point
+    supports two.
+    """
     rest = (
         np.arange(len(points), dtype=np.int64)
         if select is None

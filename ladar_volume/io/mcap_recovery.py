@@ -36,14 +36,13 @@ LONGEST_TAIL = 64_000_000
 @dataclass(frozen=True)
 class Recovery:
     """What a repair found: messages kept, bytes cut off the end, chunks (and other records) whose
-    content is damaged, last receive time.
+    content is damaged.
     """
 
     path: Path
     messages: int
     lost_bytes: int
     damaged: int
-    end_ns: int
 
 
 @dataclass
@@ -130,7 +129,6 @@ def _recover(path: Path, stream: BinaryIO) -> Recovery:
         sum(contents.counts.values()),
         0 if whole else lost,
         contents.damaged,
-        contents.span[1],
     )
 
 

@@ -38,11 +38,6 @@ class ToeLine:
     seen: Bool
     outward_m: F64
 
-    @property
-    def observed_share(self) -> float:
-        """Share of the outline above a surface."""
-        return float(np.count_nonzero(self.seen)) / len(self.seen)
-
 
 def spacing_of(tin: Tin) -> float:
     """Usual length, m, of the edges of the triangles that count."""

@@ -1,5 +1,4 @@
-"""Did a sphere stand still? Its motion during one scan, from the residuals over time, and between
-two measurements of it.
+"""Did a sphere stand still? Its motion during one scan, from the residuals over time.
 
 Source: seed 003 section 2, step 4 (the location of the reference spheres is checked during
 scanning). A sphere that moves evenly by the displacement m over the scan adds ``−n · m tau`` to the
@@ -22,7 +21,7 @@ from ladar_volume.registration.spheres import Sphere, residuals_and_normals
 class Stillness:
     """Result of the check.
 
-    displacement_m : (3,) m, over the scan or between the two measurements · C : (3, 3) m² ·
+    displacement_m : (3,) m, over the scan · C : (3, 3) m² ·
     statistic : ``mᵀ C⁻¹ m``, chi-square with 3 degrees of freedom for a sphere at rest · p_value ·
     still : whether p_value is at least the chosen risk · detectable_m : length that a displacement
     in the least favourable direction needs to stand out at three sigma
@@ -36,7 +35,7 @@ class Stillness:
     detectable_m: float
 
 
-def test_displacement(displacement: F64, C: F64, risk: float) -> Stillness:
+def stillness_of(displacement: F64, C: F64, risk: float) -> Stillness:
     """Test a displacement (3,) m with covariance (3, 3) m² against zero."""
     value = float(displacement @ np.linalg.solve(C, displacement))
     p = float(stats.chi2.sf(value, 3))
@@ -84,11 +83,4 @@ def check_drift(points: F64, t_s: F64, sphere: Sphere, risk: float = 0.001) -> S
         )
     Q = np.asarray(np.linalg.inv(N), dtype=np.float64)
     estimate: F64 = Q @ (A.T @ (v / sigma))
-    return test_displacement(estimate[-3:], Q[-3:, -3:], risk)
-
-
-def check_displacement(before: Sphere, after: Sphere, risk: float = 0.001) -> Stillness:
-    """Displacement between two independent measurements of one sphere in one frame, say before and
-    after the scan.
-    """
-    return test_displacement(after.centre - before.centre, before.C_centre + after.C_centre, risk)
+    return stillness_of(estimate[-3:], Q[-3:, -3:], risk)

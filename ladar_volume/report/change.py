@@ -14,8 +14,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from ladar_volume.change.change_detection import ChangeMap
-from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Volume
+from ladar_volume.report.plates import save_figure
 
 #: Colour of what does not exceed the level of detection, and lines of the budget that are shown.
 GREY, LINES = "0.85", 9
@@ -104,7 +104,4 @@ def _map(ax: Axes, change: ChangeMap, values: F64, colours: Colours) -> None:
 
 def save(volume: Volume, change: ChangeMap, title: str, path: Path) -> None:
     """Write the figure as PNG. Raises OutputError."""
-    try:
-        draw(volume, change, title).savefig(path, dpi=110)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+    save_figure(draw(volume, change, title), path)

@@ -11,9 +11,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import Estimate
-from ladar_volume.report.plates import STYLE, draw_budget, draw_cut_fill, draw_heights, new_figure
+from ladar_volume.report.plates import (
+    STYLE,
+    draw_budget,
+    draw_cut_fill,
+    draw_heights,
+    new_figure,
+    save_figure,
+)
 from ladar_volume.report.scene import Scene, base_of_plane
 
 
@@ -44,8 +50,5 @@ def draw(estimate: Estimate, title: str, where: str = "") -> Figure:
 
 def save(estimate: Estimate, title: str, path: Path, where: str = "") -> None:
     """Write the figure as PNG. Raises OutputError."""
-    try:
-        with mpl.rc_context(STYLE):
-            draw(estimate, title, where).savefig(path, dpi=110)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+    with mpl.rc_context(STYLE):
+        save_figure(draw(estimate, title, where), path)

@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -20,6 +21,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
+from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
 from ladar_volume.report.scene import Scene, sections_of
 
@@ -61,6 +63,15 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def save_figure(figure: Figure, path: Path, dpi: int = 110) -> str:
+    """Write a figure as PNG; returns the file's name. Raises OutputError."""
+    try:
+        figure.savefig(path, dpi=dpi)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+    return path.name
 
 
 def svg(name: str, draw: Callable[[Axes], None], width_in: float, height_in: float) -> str:

@@ -56,15 +56,3 @@ def draw_errors(
     keep = np.exp(-np.diff(t_s, prepend=t_s[:1]) / tau_s)
     total: F64 = (bias + white + markov(keep, steps) * np.sqrt(markov_share)) * sigma
     return Errors(total, bias * sigma)
-
-
-def error_series(
-    t_s: F64,
-    sigma: F64,
-    bias_share: float,
-    white_share: float,
-    tau_s: float,
-    rng: np.random.Generator,
-) -> F64:
-    """The sum of the parts alone, (n, k)."""
-    return draw_errors(t_s, sigma, bias_share, white_share, tau_s, rng).total

@@ -18,7 +18,6 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.duplicates import first_within
-from ladar_volume.tin.elevation_adjustment import measures
 from ladar_volume.tin.greedy import (
     Cloud,
     Heap,
@@ -77,19 +76,6 @@ class AdaptiveTin:
     off_map_count: int
     window: Window
     exact_predicates: int
-
-    def fit_statistics(self, relevant_only: bool = True) -> tuple[float, float, int]:
-        """RMS and ASD of the residuals, m, and over how many points: those over relevant triangles,
-        or all on the map.
-
-        Raises :class:`SurfaceError` where there is none.
-        """
-        mask = self.triangle >= 0
-        if relevant_only:
-            mask[mask] = self.tin.relevant[self.triangle[mask]]
-        if not mask.any():
-            raise SurfaceError("no point lies in a relevant triangle", reason="surface_no_point")
-        return *measures(self.residual[mask]), int(np.count_nonzero(mask))
 
 
 def vertex_limit(

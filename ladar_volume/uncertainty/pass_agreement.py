@@ -54,13 +54,6 @@ SHIFTED, SHIFT_M, ROUND, USUAL = 0.25, 0.06, 0.3, 0.98
 BENDS = 3.0
 
 
-class Bins(NamedTuple):
-    """Of l time bins of k patches, start (k + 1,) : time (l,) s."""
-
-    start: I64
-    t_s: F64
-
-
 @kernel
 def dispersion(start: I64, t_s: F64, u: F64, shares: tuple[float, float, float]) -> F64:
     """Mean squares (k,) about the mean of effects u (l, 3) of the bins of each of k patches, from

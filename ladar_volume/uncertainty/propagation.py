@@ -55,11 +55,6 @@ class SurfaceGeometry:
         """Patch (k,) that each block is stored with."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
-    @property
-    def missing_count(self) -> int:
-        """Blocks whose other patch is not in the store."""
-        return int(np.count_nonzero(self.right < 0))
-
 
 def design_rows(local: F64, p: int) -> F64:
     """Rows ``(1, u, v[, u², uv, v²])`` (..., p) of tangent coordinates (..., 2), m."""

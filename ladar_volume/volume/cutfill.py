@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design_surface, height_above
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.volume.overlay import Between, between
-from ladar_volume.volume.prismoids import Prismoids, gather, positive_part, prismoids
+from ladar_volume.volume.prismoids import gather, positive_part
 
 
 @dataclass(frozen=True)
@@ -43,25 +42,6 @@ class Sequence:
     def net_m3(self) -> F64:
         """Cut minus fill (m,), m³."""
         return self.cut_m3 - self.fill_m3
-
-
-def cut_fill(
-    tin: Tin, base: float | Plane | Tin, mask: Bool | None = None, gradients: bool = True
-) -> Prismoids | Between:
-    """Cut and fill above a level (m), a plane or polynomial base, or over a second surface's common
-    footprint with ``tin``.
-
-    ``mask`` (m,): triangles that count, by default the relevant ones. See
-    :func:`prismoids.prismoids` and :func:`overlay.between`.
-    """
-    if isinstance(base, Tin):
-        chosen = (
-            tin
-            if mask is None
-            else Tin(tin.vertices, tin.triangles, tin.neighbours, mask, tin.source, tin.duplicates)
-        )
-        return between(chosen, base, gradients)
-    return prismoids(tin, base if isinstance(base, Plane) else design_surface([float(base)]), mask)
 
 
 @kernel

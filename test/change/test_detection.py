@@ -15,7 +15,7 @@ from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.cli.epochs import survey_of
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import read_mesh
-from ladar_volume.io.pointfiles.ply import read_ply
+from ladar_volume.io.pointfiles.ply import ply_table
 from ladar_volume.io.results import result_dict
 from ladar_volume.io.surveys import between_datums, write_survey
 from ladar_volume.model.losses import Losses
@@ -198,7 +198,7 @@ def test_the_verb_gives_what_the_surveys_in_memory_give(tmp_path, capsys):
     )
     assert facts == json.loads((tmp_path / "out" / "epochs.json").read_text())
     mesh = read_mesh(tmp_path / "out" / "change.ply")
-    columns = read_ply(tmp_path / "out" / "change.ply")
+    columns = ply_table(tmp_path / "out" / "change.ply").columns
     assert len(columns["z"]) == np.count_nonzero(change.area_m2 > 0) == len(mesh.vertices)
     assert np.allclose(columns["level_m"], change.level_m[change.area_m2 > 0], rtol=1e-5)
     assert (tmp_path / "out" / "change.png").stat().st_size > 10_000

@@ -10,9 +10,10 @@ from closed_meshes import CUBE_T, CUBE_V
 
 from ladar_volume.clouds.given_faces import given_surface
 from ladar_volume.clouds.mesh_surface import mesh_surface
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.volume.cutfill import cut_fill
+from ladar_volume.volume.prismoids import prismoids
 
 UTM = np.array([21_530_269.076, 6_782_635.184, 0.0])
 #: A pyramid of 4 x 4 m, 3 m high, without its base.
@@ -27,7 +28,7 @@ STEP_T = np.array([[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3], [4, 6, 7], [4, 7,
 
 
 def volume(v, t, level, **more):
-    found = cut_fill(mesh_surface(v, t, **more).representation.tin, level)
+    found = prismoids(mesh_surface(v, t, **more).representation.tin, design_surface([level]))
     return found.cut_m3, found.fill_m3, found.area_m2
 
 
@@ -132,7 +133,7 @@ def test_a_mesh_has_no_sigma_of_its_own():
     surface = mesh_surface(PYRAMID_V, PYRAMID_T)
     assert surface.sigma_m is None and "no noise of its own" in surface.sigma_from
     given = mesh_surface(PYRAMID_V, PYRAMID_T, sigma_m=0.01)
-    gradient = cut_fill(given.representation.tin, 0.0).gradient_net[:, 2:]
+    gradient = prismoids(given.representation.tin, design_surface([0.0])).gradient_net[:, 2:]
     # each corner carries 8/3 m², the top 16/3 m²
     assert given.variance(gradient)[0] == pytest.approx(
         1e-4 * (4 * (8 / 3) ** 2 + (16 / 3) ** 2), rel=1e-12
@@ -160,7 +161,7 @@ def test_thinning_keeps_the_footprint_and_says_what_it_costs():
     t = t[~((v[t][:, :, :2] > 4.9).all(axis=(1, 2)))]  # an L again
     full = volume(v, t, -2.0)
     surface = mesh_surface(v, t, SurfaceParameters(ratio=0.5), thin=True)
-    found = cut_fill(surface.representation.tin, -2.0)
+    found = prismoids(surface.representation.tin, design_surface([-2.0]))
     (doubt,) = surface.doubts
     assert doubt.name == "mesh_thinned" and len(surface.representation.tin.vertices) < 0.6 * len(v)
     assert found.area_m2 == pytest.approx(full[2], rel=0.05) and full[2] == pytest.approx(75.0)

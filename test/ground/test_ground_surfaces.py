@@ -15,7 +15,6 @@ from ladar_volume.ground.ground_sampling import best_candidate, sample_polynomia
 from ladar_volume.ground.polynomial import base_height, design_surface
 from ladar_volume.ground.robust_ground import bottom_layer, fit_ground
 from ladar_volume.ground.surfaces import (
-    find_grounds,
     further_grounds,
     heights_above,
     is_same_surface,
@@ -24,6 +23,7 @@ from ladar_volume.ground.surfaces import (
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters, Parameters
 from ladar_volume.tin.scan_frame import frame_along
+from test.scenes.several_grounds import find_grounds
 
 CUBIC = design_surface([2.0, 0.03, -0.05, 0.004, -0.002, 0.003, 4e-4, -3e-4, 2e-4, 5e-4])
 

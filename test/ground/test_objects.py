@@ -20,10 +20,10 @@ from ladar_volume.ground.clusters import (
 from ladar_volume.ground.objects import find_objects, objects_at, objects_in
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
-from ladar_volume.ground.surfaces import find_grounds
 from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.parameters import GroundParameters
+from test.scenes.several_grounds import find_grounds
 
 LEVEL = [design_surface([0.0])]
 P = ObjectParameters(distance_m=0.25, min_points=20)

@@ -2,13 +2,7 @@
 has just heard count in ``~/compute`` at once.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, sys, threading, time
@@ -107,23 +101,7 @@ rclpy.try_shutdown()
 
 
 def test_an_answer_has_all_that_came_before_the_call(tmp_path):
-    script = tmp_path / "catch_up.py"
-    script.write_text(SCRIPT)
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        [sys.executable, str(script), str(tmp_path / "bag")],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    found = result_of(SCRIPT, tmp_path / "bag", timeout_s=300, domain=21)
     assert found["clouds"][0] == found["clouds"][1]
     late, count, sent = found["points"]
     assert late < count == sent

@@ -2,13 +2,7 @@
 surface is then that of every point.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, queue, time
@@ -17,7 +11,7 @@ from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
-from conftest import mapped, platform, sheet
+from mapped_sheet import mapped, platform, sheet
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.io.tables import decode
 from ladar_volume.io.message_tables import (
@@ -174,24 +168,8 @@ print(
 """
 
 
-def test_a_flush_hands_on_all_points_that_came(tmp_path):
-    script = tmp_path / "flush.py"
-    script.write_text(SCRIPT)
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'rmls'}",
-    }
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+def test_a_flush_hands_on_all_points_that_came():
+    found = result_of(SCRIPT, timeout_s=300, domain=7)
     assert found["nothing"] == 0  # nothing sent yet, and nothing to wait for
     assert found["equal"] == [True, True, True]  # the offline surface of the same prefix
     assert (

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from own_process import result_of
 
 from ladar_volume.cli.main import main
 from ladar_volume.model.parameters import BudgetParameters
@@ -256,19 +257,8 @@ print(
 """
 
 
-def test_no_input_ends_a_node_and_every_refusal_is_named(tmp_path):
-    script = tmp_path / "bad_input.py"
-    script.write_text(BAD_INPUT)
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env=environment(2),
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    seen = json.loads(done.stdout.splitlines()[-1])
+def test_no_input_ends_a_node_and_every_refusal_is_named():
+    seen = result_of(BAD_INPUT, timeout_s=300, domain=2)
     for reason in (
         "cloud_no_xyz",
         "cloud_row_step",

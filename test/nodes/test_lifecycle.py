@@ -2,13 +2,7 @@
 refused with the reason; a simulated clock; a looping recording; the last estimate before the end.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, time
@@ -132,24 +126,8 @@ print(json.dumps(out))
 """
 
 
-def test_lifecycle_parameters_and_a_looping_recording(tmp_path):
-    script = tmp_path / "lifecycle.py"
-    script.write_text(SCRIPT)
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    seen = json.loads(done.stdout.splitlines()[-1])
+def test_lifecycle_parameters_and_a_looping_recording():
+    seen = result_of(SCRIPT, timeout_s=300, domain=7)
     configured, cleaned = seen["counts"][::2], seen["counts"][1::2]
     assert all("SUCCESS" in c[0] for c in configured) and all(
         c[1:] == configured[0][1:] for c in configured

@@ -3,14 +3,12 @@ is not is accounted for.
 """
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from own_process import result_of
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
 
@@ -80,23 +78,8 @@ print(json.dumps({"answer": json.loads(future.result().message), "lines": lines[
 
 
 def test_everything_published_is_in_the_files(tmp_path):
-    script, log = tmp_path / "script.py", tmp_path / "log.mcap"
-    script.write_text(SCRIPT)
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        [sys.executable, str(script), str(log)],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    seen = json.loads(done.stdout.splitlines()[-1])
+    log = tmp_path / "log.mcap"
+    seen = result_of(SCRIPT, log, timeout_s=300, domain=21)
     assert seen["answer"]["finishing"].endswith("log.mcap") and not [
         k for k in seen["lines"] if k.startswith("lost_")
     ]

@@ -1,18 +1,18 @@
 """mavlink_node between a real pymavlink peer on UDP loopback and real DDS."""
 
-import json
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from own_process import result_of
 
 ROOT = Path(__file__).parents[2]
 
 SCRIPT = """
+import os
+
+os.environ["MAVLINK20"] = "1"
 import json, math, socket, sys, threading, time
 import numpy as np, rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -158,28 +158,8 @@ print(
 """
 
 
-def environment(offset):
-    return os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-        "MAVLINK20": "1",
-    }
-
-
-def test_a_peer_on_loopback_becomes_ros_messages(tmp_path):
-    script = tmp_path / "peer.py"
-    script.write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env=environment(11),
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    seen = json.loads(done.stdout.splitlines()[-1])
+def test_a_peer_on_loopback_becomes_ros_messages():
+    seen = result_of(SCRIPT, timeout_s=300, domain=11)
     assert (
         seen["fix"][:3] == pytest.approx([50.1234567, 14.1234567, 295.0])
         and seen["fix"][4] == 2

@@ -17,7 +17,7 @@ from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParamete
 from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.drawn_errors import error_series
+from ladar_volume.simulation.drawn_errors import draw_errors
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.survey import EPOCH_NS, Survey
@@ -47,16 +47,16 @@ def test_firing_pattern_is_the_vlp_16s():
     assert len(velodyne.sweep(0.0, 6).time_s) == 16 * 302
 
 
-def test_error_series_has_its_total_variance_and_its_correlation():
+def test_drawn_errors_have_their_variance_and_correlation():
     t = np.arange(0, 4000, 0.5)
     rng = np.random.default_rng(8)
     sigma = np.array([2.0, 0.5])
-    markov = np.stack([error_series(t, sigma, 0.0, 0.0, 20.0, rng) for _ in range(20)])
+    markov = np.stack([draw_errors(t, sigma, 0.0, 0.0, 20.0, rng).total for _ in range(20)])
     assert markov.std(axis=(0, 1)) == pytest.approx(sigma, rel=0.06)
     lag = 40  # 20 s: one correlation time
     r = np.mean(markov[:, :-lag] * markov[:, lag:]) / np.mean(markov**2)
     assert r == pytest.approx(np.exp(-1), abs=0.06)
-    bias = np.stack([error_series(t[:50], sigma, 1.0, 0.0, 20.0, rng) for _ in range(2000)])
+    bias = np.stack([draw_errors(t[:50], sigma, 1.0, 0.0, 20.0, rng).total for _ in range(2000)])
     assert np.ptp(bias, axis=1).max() == 0.0 and bias[:, 0].std(axis=0) == pytest.approx(
         sigma, rel=0.06
     )

@@ -17,13 +17,12 @@ from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.cutfill import (
     add_piece,
     count_below,
-    cut_fill,
     cut_sequence,
     sequence_gradient,
     sequence_kernel,
     triangle_heights,
 )
-from ladar_volume.volume.overlay import Between
+from ladar_volume.volume.overlay import between
 from ladar_volume.volume.prismoids import prismoids
 
 ROOF = {
@@ -54,15 +53,14 @@ def test_the_roof_in_one_pass():
     s = cut_sequence(roof(), np.array(list(ROOF), float))
     assert np.c_[s.cut_m3, s.fill_m3] == pytest.approx(np.array(list(ROOF.values())), abs=1e-12)
     assert s.area_m2 == 12.0 and (s.cut_m3[4:6] == 0).all() and (s.fill_m3[6:] == 0).all()
-    for base in (1.0, design_surface([1.0])):
-        p = cut_fill(roof(), base)
-        assert (p.cut_m3, p.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
+    level = prismoids(roof(), design_surface([1.0]))
+    assert (level.cut_m3, level.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
     lower = build_tin(np.array([[-1, -1, 1], [9, -1, 1], [9, 9, 1], [-1, 9, 1.0]]))
-    p = cut_fill(roof(), lower)
-    assert isinstance(p, Between) and (p.cut_m3, p.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
+    p = between(roof(), lower)
+    assert (p.cut_m3, p.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
     one = np.array([True, False, False, False])
-    assert cut_fill(roof(), lower, one).net_m3 == pytest.approx(
-        cut_fill(roof(), 1.0, one).net_m3, abs=1e-12
+    assert between(dataclasses.replace(roof(), relevant=one), lower).net_m3 == pytest.approx(
+        prismoids(roof(), design_surface([1.0]), one).net_m3, abs=1e-12
     )
 
 

@@ -22,7 +22,7 @@ from ladar_volume.experiments.nist.nist_experiments import (
     scan_frame,
 )
 from ladar_volume.experiments.nist.nist_scene import pair
-from ladar_volume.model.errors import OutputError
+from ladar_volume.report.plates import save_figure
 from ladar_volume.tin.full_tin import build_tin
 
 
@@ -181,10 +181,5 @@ def write_figures(study: Study, folder: Path) -> list[str]:
     """
     names = []
     for name, make in FIGURES.items():
-        path = folder / f"{name}.png"
-        try:
-            make(study).savefig(path, dpi=110)
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written: {error}", value=str(path)) from error
-        names.append(path.name)
+        names.append(save_figure(make(study), folder / f"{name}.png"))
     return names

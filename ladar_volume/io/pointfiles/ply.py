@@ -25,16 +25,9 @@ from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
 from ladar_volume.model.errors import CloudError, InputError, OutputError
 
 
-def read_ply(path: Path) -> Columns:
-    """The properties of the vertices as columns (n,), native byte order, in file order.
-
-    Raises :class:`CloudError` (cloud_header, cloud_fields, cloud_short, cloud_values) and OSError.
-    """
-    return ply_table(path).columns
-
-
 def ply_table(path: Path) -> RawTable:
-    """The columns of :func:`read_ply`, and what comments of the header say of CRS and units.
+    """The properties of the vertices as columns (n,), native byte order, in file order, and what
+    comments of the header say of CRS and units.
 
     Raises :class:`CloudError` (cloud_header, cloud_fields, cloud_short, cloud_values) and OSError.
     """

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from ladar_volume.io.drivers.point_layouts import RING_FIELDS
+from ladar_volume.io.frames.static_frames import Quaternion, Vector
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Returns
 
@@ -46,20 +47,6 @@ class StampedMessage(Protocol):
     """A message with a header."""
 
     header: Header
-
-
-class Vector(Protocol):
-    """geometry_msgs/Vector3."""
-
-    x: float
-    y: float
-    z: float
-
-
-class Quaternion(Vector, Protocol):
-    """geometry_msgs/Quaternion."""
-
-    w: float
 
 
 class Inertial(StampedMessage, Protocol):
