@@ -1,7 +1,25 @@
-"""The method on one page: georeference → filter → surface → volume.
+"""The method on one page: georeference → filter → surface → base → volume.
 
-The same three stage objects run here, in the nodes and in notebooks; this is the only place that
-wires them without ROS.
+============  ====================================================  ================================
+step          what is done                                          from what to what
+============  ====================================================  ================================
+georeference  The pose is interpolated at the time of each return;  ``Returns``, ``Fix``,
+              the LiDAR equation maps it, with the covariance of    ``ImuSample`` →
+              its range and angles.                                 ``MappedPoints``, states
+filter        Robust moving least squares fits a patch to each      ``MappedPoints`` →
+              voxel's neighbourhood, projects points on it, and     ``FilterUpdate``
+              keeps how it moves with every error source.
+surface       The filtered points become a Delaunay TIN, full or    ``FilterUpdate`` →
+              partial; its heights have variances.                  ``SurveyedSurface``
+base          A robust ground (or level, plane) is fitted, bodies   ``SurveyedSurface`` →
+              on it are outlined, objects taken out, gaps bridged.  ``SurveyOnBase``
+volume        Prismoids between surface and base; the gradient by   ``SurveyOnBase`` →
+              every point gives the variance by each error source;  ``Estimate``
+              the survey's own redundancy tests it.
+============  ====================================================  ================================
+
+The same stage objects run here, in the nodes and in notebooks; this is the only place that wires
+them without ROS. docs/architecture.md says which room each step is in.
 """
 
 from __future__ import annotations
@@ -13,10 +31,12 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
     Datum,
     Estimate,
+    FilterUpdate,
     Fix,
     ImuSample,
     MappedPoints,
     OdometrySample,
+    PlatformStates,
     Returns,
 )
 from ladar_volume.rmls.surface_filter import SurfaceFilter
@@ -58,22 +78,16 @@ class Engine:
         self.georeferencer.add_returns(returns)
 
     def step(self) -> list[MappedPoints]:
-        """Hand what is georeferenced to the filter; returns the clouds that became ready, for
-        whoever logs them. Where the time of the data began again (a looping recording), the surface
-        begins anew.
+        """Georeference what has its poses, and hand it to the filter; returns the clouds that
+        became ready, for whoever logs them. Where the time of the data began again (a looping
+        recording), the surface begins anew.
         """
         if self.georeferencer.restarts != self._restarts:
-            self._restarts, self.points_mapped = self.georeferencer.restarts, 0
-            self.returned = ReturnStore(self.parameters.filter.radius_m)
-            self.filter, self.estimator = (
-                SurfaceFilter(self.parameters),
-                VolumeEstimator(self.parameters),
-            )
-        states = self.georeferencer.take_platform()
+            self._begin_anew()
+        states, clouds = self.georeference()
         if states is not None:
             self.filter.add_platform(states)
             self.estimator.add_platform(states)
-        clouds = self.georeferencer.take_points()
         for points in clouds:
             self.points_mapped += len(points)
             if self.parameters.volume.kind == "bodies":
@@ -86,19 +100,31 @@ class Engine:
         VolumeError where there is none yet.
         """
         self.step()
-        update = self.filter.update()
-        if update is not None:
-            self.estimator.add(update)
-        return self.estimator.estimate()
+        return self.measure(self.filter.update())
 
     def finish(self) -> Estimate:
         """End of the data: what still waits for a pose is lost and counted; the final estimate."""
         self.georeferencer.finish()
         self.step()
-        update = self.filter.finish()
+        return self.measure(self.filter.finish())
+
+    def georeference(self) -> tuple[PlatformStates | None, list[MappedPoints]]:
+        """Georeference: new states of the platform, and the clouds that they cover."""
+        return self.georeferencer.take_platform(), self.georeferencer.take_points()
+
+    def measure(self, update: FilterUpdate | None) -> Estimate:
+        """Surface, base and volume of the filtered points, with what the filter changed last."""
         if update is not None:
             self.estimator.add(update)
-        return self.estimator.estimate()
+        surface = self.estimator.survey()
+        on_base = self.estimator.base(surface)
+        return self.estimator.volume(on_base)
+
+    def _begin_anew(self) -> None:
+        self._restarts, self.points_mapped = self.georeferencer.restarts, 0
+        self.returned = ReturnStore(self.parameters.filter.radius_m)
+        self.filter = SurfaceFilter(self.parameters)
+        self.estimator = VolumeEstimator(self.parameters)
 
     @property
     def datum(self) -> Datum | None:

@@ -46,6 +46,8 @@ LINES, TALL = 40, 7
 #: no ROS graph is started for. It only goes down. Characters of a line, and places
 #: that are not formatted.
 PRIVATE, WIDTH, UNFORMATTED = 14, 100, 20
+#: Most lines of a room's face.
+FACE = 26
 
 
 def name_of(path):
@@ -134,6 +136,24 @@ def test_rooms_import_only_from_those_before_them(path):
 )
 def test_a_folder_can_be_held_in_the_head(folder):
     assert len([p for p in folder.glob("*.py") if p.name != "__init__.py"]) <= MODULES
+
+
+@pytest.mark.parametrize("name", [n for n in ORDER if (PACKAGE / n).is_dir()])
+def test_the_face_of_a_room_says_what_is_public(name):
+    face = ast.get_docstring(ast.parse((PACKAGE / name / "__init__.py").read_text())) or ""
+    assert "Public" in face and 6 <= face.count("\n") <= FACE
+
+
+def test_what_another_module_uses_is_public():
+    private = [
+        f"{path.relative_to(PACKAGE)}: {n.module}.{a.name}"
+        for path in FILES
+        for n in ast.walk(ast.parse(path.read_text()))
+        if isinstance(n, ast.ImportFrom) and (n.module or "").startswith("ladar_volume")
+        for a in n.names
+        if a.name.startswith("_")
+    ]
+    assert not private
 
 
 def functions():

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -15,7 +15,14 @@ from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives
 from ladar_volume.georeference.point_jacobian import bracket, pack
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
 from ladar_volume.math.array_types import F32, F64, I64
-from ladar_volume.math.interpolation import arc_between, knot_before, on_arc
+from ladar_volume.math.interpolation import (
+    Rows,
+    Vector,
+    arc_between,
+    knot_before,
+    on_arc,
+    rotation_rows,
+)
 from ladar_volume.math.kernels import leaf_kernel, parallel_kernel
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 
@@ -23,8 +30,6 @@ from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 MAPPED, NO_POSE, IN_VEHICLE, OUTSIDE_REGION = 0, 1, 2, 3
 #: Points per parallel chunk: each chunk walks along the knots with a hint instead of searching.
 _CHUNK = 1024
-Vector: TypeAlias = tuple[float, float, float]
-Rows: TypeAlias = tuple[Vector, Vector, Vector]
 _ZERO = (0.0, 0.0, 0.0)
 
 
@@ -63,17 +68,6 @@ def _transform(a: Vector, R: Rows, v: Vector) -> Vector:
         a[0] + R[0][0] * v[0] + R[0][1] * v[1] + R[0][2] * v[2],
         a[1] + R[1][0] * v[0] + R[1][1] * v[1] + R[1][2] * v[2],
         a[2] + R[2][0] * v[0] + R[2][1] * v[1] + R[2][2] * v[2],
-    )
-
-
-@leaf_kernel
-def _rotation(q: tuple[float, float, float, float]) -> Rows:
-    """Rows of the rotation of a unit quaternion."""
-    x, y, z, w = q
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
 
 
@@ -170,7 +164,7 @@ def _map_part(
         if k != before and k + 1 < ns:  # once per interval
             arc = arc_between(sq, k, k + 1)
         q = (sq[k, 0], sq[k, 1], sq[k, 2], sq[k, 3])
-        R = _rotation(
+        R = rotation_rows(
             q if st[k] == t else on_arc(sq, k, k + 1, (t - st[k]) / (st[k + 1] - st[k]), arc)
         )
         r = (r_laser[i, 0], r_laser[i, 1], r_laser[i, 2])

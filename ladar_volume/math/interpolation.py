@@ -1,5 +1,6 @@
 """Knots in time and the arc between two attitudes, compiled: the one search and the one slerp that
-kernels use. ``se3.slerp`` and ``np.searchsorted`` are the plain twins.
+kernels use, and the rotation of a quaternion. ``np.searchsorted``, ``se3.slerp`` and
+``se3.matrix_from_quaternion`` are the plain twins.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from ladar_volume.math.kernels import leaf_kernel
 #: arc is straight.
 Arc: TypeAlias = tuple[float, float, float, bool]
 Quaternion: TypeAlias = tuple[float, float, float, float]
+Vector: TypeAlias = tuple[float, float, float]
+Rows: TypeAlias = tuple[Vector, Vector, Vector]
 #: Above this cosine the sines cancel; linear interpolation is exact to 1e-14.
 _NEAR = 1.0 - 1e-9
 
@@ -63,3 +66,14 @@ def on_arc(q: F64, k: int, l: int, f: float, arc: Arc) -> Quaternion:
     z, w = w0 * q[k, 2] + w1 * q[l, 2], w0 * q[k, 3] + w1 * q[l, 3]
     s = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
     return x * s, y * s, z * s, w * s
+
+
+@leaf_kernel
+def rotation_rows(q: Quaternion) -> Rows:
+    """Rows of the rotation of a unit quaternion xyzw."""
+    x, y, z, w = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )

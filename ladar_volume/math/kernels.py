@@ -1,16 +1,14 @@
 """Compiled kernels: one decorator for the serial and one for the parallel case.
 
-Both release the GIL and cache their machine code. The threading layer is OpenMP: beside another
-library's TBB the default falls back to a layer that aborts the process when two Python threads
-enter parallel kernels at once. Parallel kernels write each output element from exactly one
-iteration and never reduce a float over iterations, so results do not depend on the number of
-threads.
+Both release the GIL and cache their machine code. Parallel kernels write each output element from
+exactly one iteration and never reduce a float over iterations, so results do not depend on the
+number of threads.
 
 A parallel kernel that takes a record (a NamedTuple of arrays) writes to its arrays only through a
 kernel of one thread that its loop calls: numba's parallel pass does not see that a field is one of
 the arguments, and drops a write to it in the loop itself as dead.
 
-``kernel.py_func`` of a decorated function is its plain Python twin.
+A kernel's twin is another formulation in plain NumPy, which the tests compare with it.
 """
 
 from __future__ import annotations
@@ -28,8 +26,9 @@ with block_import("coverage"):  # 5 MB, and nothing to measure where it does not
     import numba
 
 from ladar_volume.process.kernel_cache import keep
+from ladar_volume.process.numba_threads import choose_openmp
 
-numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]
+choose_openmp(numba)
 
 #: Numba's own option, absent from its type stubs.
 NO_COUNTS: dict[str, Any] = {"_nrt": False}

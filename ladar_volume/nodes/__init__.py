@@ -1,5 +1,7 @@
 """The ROS graph: the only room that imports rclpy.
 
+Public:
+
 - ``georeference_node``, ``filter_node``, ``volume_node``: the steps of ``pipeline`` as nodes.
 - ``logger_node``, ``mavlink_node``, ``player``: recording, autopilot, replay.
 - ``graph.Graph``: all of them in one process or each in its own; ``programs`` has their entries.

@@ -1,9 +1,9 @@
 """What a program of this package changes in its own process: environment, allocator, other
 libraries. Nothing of it happens to a process that imports the package as a library.
 
-One switch, :func:`ladar_volume.process.switch.own_process`, turns it on. The command line and the
-programs of the nodes call it first, before NumPy is loaded; tests and benchmarks call it too. What
-each change saves:
+Public: one switch, :func:`ladar_volume.process.switch.own_process`, turns it on. The command line
+and the programs of the nodes call it first, before NumPy is loaded; tests and benchmarks call it
+too. What each change saves:
 
 =====================================  =============================================================
 threads that wait sleep (OpenMP)       spinning threads starve everything else on two cores
@@ -17,5 +17,7 @@ Fast DDS frees what was taken          one buffer for every message that ever wa
 numba's intermediate code packed       tens of MB after the start of a node (``memory``)
 =====================================  =============================================================
 
-Results do not depend on the switch beyond the last digits of matrix products.
+Results do not depend on the switch beyond the last digits of matrix products. One thing is not
+behind it, since without it a process may abort: numba's threads are OpenMP's where nobody chose
+otherwise (``numba_threads``).
 """

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ladar_volume.math.array_types import F64, I32, I64, U64
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.normal_equations import select_kth
-from ladar_volume.rmls.voxel_store import _mix, voxels_around
+from ladar_volume.rmls.voxel_store import voxels_around
 
 #: A patch looks at the voxels up to this many away; a ball of radius 2r about a centre in the voxel
 #: needs two.
@@ -56,9 +57,10 @@ def slots_around(
 
 
 @kernel
-def _uniform(state: U64, n: int) -> Any:
+def random_below(state: U64, n: int) -> Any:
+    """The next random number from 0 to before n."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
-    return np.int64(_mix(state[0]) % np.uint64(n))
+    return np.int64(mix_bits(state[0]) % np.uint64(n))
 
 
 @kernel
@@ -67,7 +69,7 @@ def _sample_plane(r: F64, n: int, size: int, state: U64, pick: I64, plane: F64) 
     False where degenerate.
     """
     for a in range(size):
-        pick[a] = _uniform(state, n)
+        pick[a] = random_below(state, n)
         for b in range(a):
             if pick[b] == pick[a]:
                 return False
@@ -94,7 +96,7 @@ def _sample_plane(r: F64, n: int, size: int, state: U64, pick: I64, plane: F64) 
 
 
 @kernel
-def _median_if_better(r: F64, n: int, plane: F64, best: float, work: F64) -> Any:
+def median_or_bound(r: F64, n: int, plane: F64, best: float, work: F64) -> Any:
     """Median of the distances of r (3, n) to a plane; ``best`` as soon as it is known not to be
     below.
     """
@@ -112,7 +114,7 @@ def _median_if_better(r: F64, n: int, plane: F64, best: float, work: F64) -> Any
 
 
 @kernel
-def _truncated_square(r: F64, n: int, plane: F64, best: float, limit: float) -> Any:
+def truncated_squares(r: F64, n: int, plane: F64, best: float, limit: float) -> Any:
     """Sum of squared distances of r (3, n) to a plane, each at most ``limit``; infinite as soon as
     it exceeds ``best``.
     """
@@ -126,7 +128,7 @@ def _truncated_square(r: F64, n: int, plane: F64, best: float, limit: float) -> 
 
 
 @kernel
-def start_plane(r: F64, n: int, rule: StartRule, seed: int, plane: F64, work: F64) -> float:
+def start_plane(r: F64, n: int, rule: StartRule, seed: np.uint64, plane: F64, work: F64) -> float:
     """The best of random planes over r (3, n); returns its robust sigma, −1 where every sample was
     degenerate. work : (n,)
     """
@@ -138,9 +140,9 @@ def start_plane(r: F64, n: int, rule: StartRule, seed: int, plane: F64, work: F6
         if not _sample_plane(r, n, rule.size, state, pick, trial):
             continue
         if rule.ransac:
-            score = _truncated_square(r, n, trial, best, rule.threshold * rule.threshold)
+            score = truncated_squares(r, n, trial, best, rule.threshold * rule.threshold)
         else:
-            score = _median_if_better(r, n, trial, best, work)
+            score = median_or_bound(r, n, trial, best, work)
         if score < best:
             best = score
             plane[:] = trial

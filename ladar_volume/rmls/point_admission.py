@@ -1,7 +1,7 @@
 """Which points the filter takes in, and the geometry kept with each: one compiled pass each over
 the points.
 
-``sensitivity.bracket`` and ``reference.geometry`` are the plain twins.
+``point_jacobian.bracket`` and ``point_jacobian.point_geometry`` are the plain twins.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I8, I64
-from ladar_volume.math.interpolation import arc_between, knot_before, on_arc
+from ladar_volume.math.interpolation import arc_between, knot_before, on_arc, rotation_rows
 from ladar_volume.math.kernels import kernel
 
 TAKEN, NOT_FINITE, TOO_FAR, UNCOVERED = 0, 1, 2, 3
@@ -47,7 +47,7 @@ def admit(
     at: Bracket,
 ) -> None:
     """Verdict of each point, and where it lies between platform states (see
-    ``sensitivity.bracket``).
+    ``point_jacobian.bracket``).
     """
     hint = -1
     last = len(knots) - 1
@@ -96,9 +96,7 @@ def geometry(
             d[c] = r[i, c] - (p[k, c] + f * (p[l, c] - p[k, c]))
             m[c] = v[k, c] + f * (v[l, c] - v[k, c])
             w[c] = omega[k, c] + f * (omega[l, c] - omega[k, c])
-        r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - z * e), 2 * (x * z + y * e)
-        r10, r11, r12 = 2 * (x * y + z * e), 1 - 2 * (x * x + z * z), 2 * (y * z - x * e)
-        r20, r21, r22 = 2 * (x * z - y * e), 2 * (y * z + x * e), 1 - 2 * (x * x + y * y)
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation_rows((x, y, z, e))
         s[0] = r00 * d[0] + r10 * d[1] + r20 * d[2]
         s[1] = r01 * d[0] + r11 * d[1] + r21 * d[2]
         s[2] = r02 * d[0] + r12 * d[1] + r22 * d[2]

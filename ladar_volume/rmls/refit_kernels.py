@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F64, I16, I32, I64, Bool
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls import patch_fit
 from ladar_volume.rmls.fit_store import Fits
@@ -29,7 +30,7 @@ from ladar_volume.rmls.tangent_frame import (
     tangent_of,
 )
 from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
-from ladar_volume.rmls.voxel_store import VoxelArrays, _mix, voxels_around
+from ladar_volume.rmls.voxel_store import VoxelArrays, voxels_around
 
 OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
     patch_fit.OK,
@@ -132,7 +133,7 @@ def _start_plane(
     m = _ball(pts, n, origin, 2.0 * rule.radius, near)
     if m < rule.min_points:
         return FEW_POINTS, 0.0, plane, origin
-    own_seed = _mix(np.uint64(store.keys[voxel]) ^ _mix(np.uint64(rule.seed)))
+    own_seed = mix_bits(np.uint64(store.keys[voxel]) ^ mix_bits(np.uint64(rule.seed)))
     start = StartRule(rule.sample_size, rule.trials, rule.ransac, rule.ransac_threshold)
     sigma = patch_fit.start_plane(near, m, start, own_seed, plane, np.empty(m))
     if sigma < 0.0:

@@ -80,6 +80,19 @@ def second_tangent(normal: F64, tangent: F64, side: F64) -> None:
     side[2] = normal[0] * tangent[1] - normal[1] * tangent[0]
 
 
+@kernel
+def move_to_surface(centre: F64, normal: F64, tangent: F64, beta: F64) -> None:
+    """Move a frame's centre along its normal to a surface ``beta`` over it, and turn the normal to
+    that of the surface there. The tangent stays.
+    """
+    side = np.empty(3)
+    second_tangent(normal, tangent, side)
+    length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
+    for k in range(3):
+        centre[k] += beta[0] * normal[k]
+        normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
+
+
 @leaf_kernel
 def polynomial_row(r: F64, slot: int, centre: F64, tangent: F64, side: F64, p: int, x: F64) -> None:
     """``x[:p] = (1, u, v[, u², uv, v²])`` of one point in metres."""

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.math.array_types import F32, F64, I16, I32, I64, U16, U64, Bool
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.rmls.viewing_geometry import KEPT
 
@@ -71,18 +72,10 @@ def unpack_key(key: I64) -> I64:
 
 
 @leaf_kernel
-def _mix(x: np.uint64) -> Any:
-    # splitmix64's finaliser: every input bit reaches every output bit
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
-
-
-@leaf_kernel
 def find_voxel(table: I32, keys: I64, key: int) -> Any:
     """Index of a voxel in the open-addressing table, −1 where it is not there."""
     mask = np.uint64(len(table) - 1)
-    at = _mix(np.uint64(key)) & mask
+    at = mix_bits(np.uint64(key)) & mask
     while table[at] >= 0:
         if keys[table[at]] == key:
             return table[at]
@@ -114,7 +107,7 @@ def voxels_around(key: int, keys: I64, table: I32, reach: int, out: I64) -> Any:
 def insert_key(table: I32, keys: I64, index: int) -> None:
     """Enter a voxel, by its index, that the table does not hold."""
     mask = np.uint64(len(table) - 1)
-    at = _mix(np.uint64(keys[index])) & mask
+    at = mix_bits(np.uint64(keys[index])) & mask
     while table[at] >= 0:
         at = (at + np.uint64(1)) & mask
     table[at] = index
@@ -141,8 +134,10 @@ def would_stay(
         iz = np.int64(np.floor(r[i, 2] / edge))
         key[i] = ((ix + HALF) << (2 * BITS)) | ((iy + HALF) << BITS) | (iz + HALF)
         # the position (to the micrometre) tells apart the two returns of one firing
-        place = np.uint64(np.int64(r[i, 0] * 1e6)) ^ _mix(np.uint64(np.int64(r[i, 1] * 1e6)))
-        h[i] = _mix(np.uint64(t_ns[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ring[i]) + place)
+        place = np.uint64(np.int64(r[i, 0] * 1e6)) ^ mix_bits(np.uint64(np.int64(r[i, 1] * 1e6)))
+        h[i] = mix_bits(
+            np.uint64(t_ns[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ring[i]) + place
+        )
         v = find_voxel(held.table, held.keys, key[i])
         full = v >= 0 and held.counts[v] >= held.cap
         stays[i] = not full or h[i] < held.hashes[v * held.cap + held.worst[v]]

@@ -8,6 +8,7 @@ tile, on as many workers as there are, to what one process gives.
 4. The patches of all tiles are one update of the estimator (``tiled_survey``): base, outline,
    volume and budget are those of one process, to the bit.
 
-Pieces and tiles are at rest, each whole or not there, below a digest of the recording and of what
-it is replayed with: an interrupted run goes on with those that are missing.
+Public: ``tiled_survey.TiledReplay``. Pieces and tiles are at rest, each whole or not there, below a
+digest of the recording and of what it is replayed with: an interrupted run goes on with those that
+are missing.
 """

@@ -23,7 +23,7 @@ import numpy as np
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.io.pointfiles.geokeys import coordinates_of_records
-from ladar_volume.io.pointfiles.las import MARKS, _check_header, place_of_points
+from ladar_volume.io.pointfiles.las import MARKS, check_las_header, place_of_points
 from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
@@ -85,7 +85,7 @@ def parts_of_file(
     if not path.exists():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
-        _check_header(path)
+        check_las_header(path)
         check_layers(path, *place_of_points(path))
         with laspy.open(path) as file:
             points = int(file.header.point_count)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ladar_volume.model.records import (
     Patches,
     Plane,
     PlatformStates,
+    StandingObject,
 )
 from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.epoch_budget import Epoch
@@ -55,10 +56,18 @@ from ladar_volume.volume.volume_loads import (
     result_gradients,
 )
 
-B = TypeVar("B")
-
 #: Bodies whose joint covariance is computed: the work grows with the number of pairs.
 MAX_JOINT = 8
+
+
+class SurveyOnBase(NamedTuple):
+    """survey : the surface, without objects and with bridges · footing : its base and the outlines
+    of the bodies · objects : what was taken out
+    """
+
+    survey: SurveyedSurface
+    footing: Footing
+    objects: tuple[StandingObject, ...]
 
 
 class VolumeEstimator:
@@ -114,17 +123,35 @@ class VolumeEstimator:
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self, naive: bool = True) -> Estimate:
-        """The volume from everything so far; without ``naive``, which is printed beside it in
-        results, that sigma is NaN.
-
-        Raises :class:`SurfaceError` where the points do not span a surface, :class:`GroundError`
-        where no base can be fitted, :class:`VolumeError` where nothing lies inside the outline or
-        the platform's covariance is not yet known for all of the surface.
+        """The volume from everything so far: :meth:`survey`, :meth:`base` and :meth:`volume`, whose
+        errors it raises.
         """
-        survey = self._survey()
+        return self.volume(self.base(self.survey()), naive)
+
+    def survey(self) -> SurveyedSurface:
+        """Surface: the TIN of the filtered points, with its error sources. Raises
+        :class:`SurfaceError` where the points do not span one, :class:`VolumeError` where the
+        platform's covariance is not yet known for all of it.
+        """
+        points, patches = self._current()
+        surface = self.surface(points)
+        return surveyed_surface(surface, points, patches, self._sources(points, patches))
+
+    def base(self, survey: SurveyedSurface) -> SurveyOnBase:
+        """Base: the surface that volumes stand on, the outlines of the bodies on it; objects are
+        taken out, and what was not seen is bridged. Raises :class:`GroundError` where no base can
+        be fitted, :class:`VolumeError` where nothing lies inside the outline.
+        """
         footing = footing_of(survey, self.parameters)
         survey, footing, objects = without_objects(survey, footing, self.parameters)
         survey, footing = bridged_footing(survey, footing, self.parameters)
+        return SurveyOnBase(survey, footing, objects)
+
+    def volume(self, on_base: SurveyOnBase, naive: bool = True) -> Estimate:
+        """Volume: prismoids between surface and base, the budget of each body, and its verdict.
+        Without ``naive``, which is printed beside it in results, that sigma is NaN.
+        """
+        survey, footing, objects = on_base
         bodies = [
             measure_body(survey, footing, part, self.parameters, naive) for part in footing.parts
         ]
@@ -224,11 +251,6 @@ class VolumeEstimator:
         if self._sources_now is None:
             self._sources_now = Sources(points, patches, self._navigation, self.parameters)
         return self._sources_now
-
-    def _survey(self) -> SurveyedSurface:
-        points, patches = self._current()
-        surface = self.surface(points)
-        return surveyed_surface(surface, points, patches, self._sources(points, patches))
 
     def _grounds(
         self, survey: SurveyedSurface, footing: Footing, main: MeasuredBody

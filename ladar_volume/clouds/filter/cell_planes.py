@@ -18,9 +18,10 @@ from ladar_volume.clouds.filter.cell_records import (
     NeighbourSets,
 )
 from ladar_volume.math.array_types import F64, I32, I64, U64
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND, REACH
-from ladar_volume.rmls.voxel_store import _mix, voxels_around
+from ladar_volume.rmls.voxel_store import voxels_around
 
 #: Planes each cell finds for itself and its neighbours.
 OFFERED = 3
@@ -140,7 +141,7 @@ def main_planes(
     """
     for v in which:
         cell, state = cell_at(v, 0, cells, rule, noise), np.empty(1, np.uint64)
-        state[0] = _mix(np.uint64(cells.keys[v]) ^ _mix(np.uint64(rule.seed)))
+        state[0] = mix_bits(np.uint64(cells.keys[v]) ^ mix_bits(np.uint64(rule.seed)))
         known.counts[v] = _planes_of(cell, rule, state, known.planes[v])
 
 

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F64, I64, U64
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls.patch_fit import StartRule, start_plane
 from ladar_volume.rmls.tangent_frame import (
@@ -22,7 +23,6 @@ from ladar_volume.rmls.tangent_frame import (
     mark_flat,
     refit,
 )
-from ladar_volume.rmls.voxel_store import _mix
 
 #: Random planes per neighbourhood; refits towards the fixed point.
 TRIALS, REFITS = 60, 20
@@ -38,7 +38,7 @@ def hashes(numbers: U64) -> Any:
     """Hash of each of numbers (n,) uint64."""
     out = np.empty_like(numbers)
     for i in range(len(numbers)):
-        out[i] = _mix(numbers[i])
+        out[i] = mix_bits(numbers[i])
     return out
 
 
@@ -84,7 +84,7 @@ def _scatter_of(s: int, r: F64, near: I64, seed: int) -> Any:
     ball = _centre_on_first(r, near, pts, across_points)
     if ball == 0.0:
         return np.nan
-    rule, key = StartRule(3, TRIALS, False, 0.0), _mix(np.uint64(seed) ^ _mix(np.uint64(s)))
+    rule, key = StartRule(3, TRIALS, False, 0.0), mix_bits(np.uint64(seed) ^ mix_bits(np.uint64(s)))
     guess = start_plane(across_points, k, rule, key, plane, np.empty(k))
     if guess < 0.0:
         return np.nan

@@ -21,6 +21,7 @@ from ladar_volume.rmls.tangent_frame import (
     frame_coordinates,
     level_frame,
     mark_flat,
+    move_to_surface,
     refit,
     second_tangent,
 )
@@ -210,12 +211,7 @@ def quadric_from(
 def _touch(quadric: Quadric) -> None:
     """Turn a quadric's frame so that it touches it at the centre."""
     centre, normal, tangent, beta, _ = quadric
-    side = np.empty(3)
-    second_tangent(normal, tangent, side)
-    length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
-    for k in range(3):
-        centre[k] += beta[0] * normal[k]
-        normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
+    move_to_surface(centre, normal, tangent, beta)
     # the old tangent leaned into the new plane: the quadratic terms belong to these axes
     along = tangent[0] * normal[0] + tangent[1] * normal[1] + tangent[2] * normal[2]
     length = np.sqrt(1.0 - along * along)

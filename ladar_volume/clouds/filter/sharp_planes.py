@@ -15,7 +15,7 @@ import numpy as np
 from ladar_volume.math.array_types import F64, I64, U64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import eigen
-from ladar_volume.rmls.patch_fit import _uniform
+from ladar_volume.rmls.patch_fit import random_below
 
 #: Most planes in one neighbourhood.
 MOST = 8
@@ -58,7 +58,7 @@ def _two_near(x: F64, free: I64, m: int, a: int, reach: float, state: U64) -> An
     found = 0
     b = c = a
     for _ in range(12):
-        k = free[_uniform(state, m)]
+        k = free[random_below(state, m)]
         d = (x[k, 0] - x[a, 0]) ** 2 + (x[k, 1] - x[a, 1]) ** 2 + (x[k, 2] - x[a, 2]) ** 2
         if k == a or k == b or d > reach * reach:
             continue
@@ -102,7 +102,7 @@ def best_plane(
     limit = threshold * threshold
     best = 0.0
     for _ in range(trials):
-        a = free[_uniform(state, m)]
+        a = free[random_below(state, m)]
         b, c, found = _two_near(x, free, m, a, reach, state)
         if found < 2 or not plane_through(x[a], x[b], x[c], trial):
             continue

@@ -16,11 +16,11 @@ from ladar_volume.clouds.filter.orthogonal_quadric import (
     shrink_to_threshold,
 )
 from ladar_volume.math.array_types import F64, I64
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 from ladar_volume.rmls.patch_fit import StartRule, start_plane
 from ladar_volume.rmls.tangent_frame import second_tangent, tangent_of
-from ladar_volume.rmls.voxel_store import _mix
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
@@ -63,7 +63,9 @@ def least_median_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> An
             near[:, n] = x[i]
             n += 1
     return (
-        start_plane(near, n, StartRule(3, TRIALS, False, 0.0), _mix(np.uint64(key)), plane, work)
+        start_plane(
+            near, n, StartRule(3, TRIALS, False, 0.0), mix_bits(np.uint64(key)), plane, work
+        )
         if n > 8
         else -1.0
     )

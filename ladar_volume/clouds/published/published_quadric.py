@@ -26,8 +26,8 @@ from ladar_volume.rmls.tangent_frame import (
     frame_coordinates,
     level_frame,
     mark_flat,
+    move_to_surface,
     refit,
-    second_tangent,
     tangent_of,
 )
 
@@ -45,16 +45,10 @@ def refit_rule(rule: PublishedRule) -> RefitRule:
 
 
 @kernel
-def move_to_surface(frame: Frame, beta: F64) -> None:
+def touch_surface(frame: Frame, beta: F64) -> None:
     """Move a frame to where its normal meets the surface, and turn it until it touches there."""
-    centre, normal, tangent = frame.centre, frame.normal, frame.tangent
-    side = np.empty(3)
-    second_tangent(normal, tangent, side)
-    length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
-    for k in range(3):
-        centre[k] += beta[0] * normal[k]
-        normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
-    tangent_of(normal, tangent)
+    move_to_surface(frame.centre, frame.normal, frame.tangent, beta)
+    tangent_of(frame.normal, frame.tangent)
 
 
 @kernel
@@ -106,7 +100,7 @@ def refit_and_move(
             or abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball < FLAT
         ):
             break
-        move_to_surface(frame, beta)
+        touch_surface(frame, beta)
         n = frame_coordinates(
             hood.x, m, frame.centre, frame.normal, frame.tangent, ball, near.uvw, near.slots
         )

@@ -45,9 +45,9 @@ from ladar_volume.clouds.published.published_records import (
     plane_set,
 )
 from ladar_volume.math.array_types import F64, I64
+from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel
 from ladar_volume.rmls.tangent_frame import Frame, Terms, second_tangent
-from ladar_volume.rmls.voxel_store import _mix
 
 #: Half width, as a share of the threshold, of the band in which residuals are counted to see how
 #: dense they are at the threshold.
@@ -200,7 +200,7 @@ def sweep(
         m, marked = collect_neighbourhood(r, middle, n, rule.radius, reason, hood)
         if marked < rule.min_points:
             continue
-        hood.sampler.state[0] = _mix(np.uint64(rank) ^ _mix(np.uint64(rule.seed)))
+        hood.sampler.state[0] = mix_bits(np.uint64(rank) ^ mix_bits(np.uint64(rule.seed)))
         if rule.degree == 2:
             found = project_on_quadric(r, middle, m, hood, rule, out)
         else:

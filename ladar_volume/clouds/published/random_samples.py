@@ -15,7 +15,7 @@ from ladar_volume.clouds.published.published_records import Sampler, Sampling
 from ladar_volume.math.array_types import F64, I64, U64
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.normal_equations import basis, invert, select_kth
-from ladar_volume.rmls.patch_fit import MAD, _median_if_better, _truncated_square, _uniform
+from ladar_volume.rmls.patch_fit import MAD, median_or_bound, random_below, truncated_squares
 
 #: Residuals within this many robust sigma count as inliers of a trial by the median (Rousseeuw and
 #: Leroy 1987).
@@ -34,7 +34,7 @@ def draw_sample(state: U64, permutation: I64, n: int, k: int) -> None:
     Fisher-Yates shuffle).
     """
     for a in range(k):
-        b = a + _uniform(state, n - a)
+        b = a + random_below(state, n - a)
         permutation[a], permutation[b] = permutation[b], permutation[a]
 
 
@@ -134,9 +134,9 @@ def sampled_plane(
         if not plane_of_sample(x, order, k, trial):
             continue
         if sampling.ransac:
-            score = _truncated_square(x, n, trial, best, sampling.threshold * sampling.threshold)
+            score = truncated_squares(x, n, trial, best, sampling.threshold * sampling.threshold)
         else:
-            score = max(_median_if_better(x, n, trial, best, distances), rounding)
+            score = max(median_or_bound(x, n, trial, best, distances), rounding)
         if score < best:
             best = score
             plane[:] = trial

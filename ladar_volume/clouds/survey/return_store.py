@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.hashing import splitmix64
 from ladar_volume.model.records import F64, I64
 
 #: Most returns of a cell, whose edge is the live filter's radius.
@@ -19,20 +20,12 @@ WAITING, SHARE = 200_000, 0.25
 U64 = npt.NDArray[np.uint64]
 
 
-def mix_bits(x: U64) -> U64:
-    """Every bit of the numbers (n,) reaches every bit of the answer (splitmix64's finaliser)."""
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    out: U64 = x ^ (x >> np.uint64(31))
-    return out
-
-
 def place_hash(r: F64) -> U64:
     """A hash (n,) of places (n, 3)."""
     bits = (np.ascontiguousarray(r, np.float64) + 0.0).view(np.uint64)  # -0.0 is 0.0
     out = np.zeros(len(r), np.uint64)
     for axis in range(3):
-        out = mix_bits(out * np.uint64(0x9E3779B97F4A7C15) + bits[:, axis])
+        out = splitmix64(out * np.uint64(0x9E3779B97F4A7C15) + bits[:, axis])
     return out
 
 

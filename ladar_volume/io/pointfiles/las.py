@@ -26,7 +26,7 @@ def read_las(path: Path, columns: bool = True) -> RawTable:
     Raises :class:`CloudError` (cloud_header, cloud_short, cloud_values), :class:`InputError`
     (input_crs, input_units) and OSError.
     """
-    _check_header(path)
+    check_las_header(path)
     try:
         check_layers(path, *place_of_points(path))
         with laspy.open(path) as file:
@@ -61,7 +61,7 @@ def read_las(path: Path, columns: bool = True) -> RawTable:
     )
 
 
-def _check_header(path: Path) -> None:
+def check_las_header(path: Path) -> None:
     """Offsets, record counts and sizes against the file's length: laspy takes them as they are, and
     a wrong one means an endless loop, or points that are left out without a word.
     """
