@@ -19,7 +19,7 @@ import numpy as np
 
 from ladar_volume.model.records import F64
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.volume.overlay import Between, between
+from ladar_volume.volume.overlay import VolumesBetween, volumes_between
 
 VOLUME_M3, HEIGHT_M, HALF_M, SIGMA_M = 5000.0, 8.0, 32.0, 0.03
 #: ``V = h π R² (1/2 − 2/π²)``
@@ -60,11 +60,11 @@ def surveys(points: int, seed: int) -> tuple[F64, F64]:
     return epoch(points // 2, True, rng), epoch(points - points // 2, False, rng)
 
 
-def measure(after: F64, before: F64) -> Between:
+def measure(after: F64, before: F64) -> VolumesBetween:
     """What is timed: both TINs, on a thread each, and the overlay, gradients included."""
     with ThreadPoolExecutor(2) as pool:
         upper, lower = pool.map(build_tin, (after, before))
-    return between(upper, lower)
+    return volumes_between(upper, lower)
 
 
 def run(sizes: tuple[int, ...] = SIZES, seeds: int = SEEDS) -> dict[str, float | int | str]:

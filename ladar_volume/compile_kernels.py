@@ -102,7 +102,7 @@ def _georeference(parameters: Parameters) -> None:
         stage.add_returns(returns)
 
 
-def _still(t: I64) -> PlatformStates:
+def _platform_at_rest(t: I64) -> PlatformStates:
     n, zero = len(t), np.zeros((len(t), 3))
     q = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
     C = np.tile(np.diag([1e-4] * 3 + [1e-6] * 3), (n, 1, 1))
@@ -117,7 +117,7 @@ def _filter(parameters: Parameters) -> None:
     ).SurfaceFilter(parameters, deferring=True)
     C_ind = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (RETURNS_PER_CLOUD, 1))
     for step, (stamp, t, xyz, returns) in enumerate(_clouds()):
-        surface.add_platform(_still(np.array([stamp, stamp + 99_999_999], np.int64)))
+        surface.add_platform(_platform_at_rest(np.array([stamp, stamp + 99_999_999], np.int64)))
         surface.add(MappedPoints(t, xyz, C_ind, returns.ring, returns.intensity))
         if step in (SECONDS * 5, SECONDS * 10 - 1):
             surface.update(50)
@@ -186,7 +186,7 @@ def _volume(parameters: Parameters) -> None:
     estimator: VolumeEstimator = importlib.import_module(
         "ladar_volume.volume.estimator"
     ).VolumeEstimator(parameters)
-    estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
+    estimator.add_platform(_platform_at_rest(np.array([START_NS, START_NS + BIN_NS], np.int64)))
     for _ in range(2):  # the second update is merged with the first
         estimator.add(_made_up_surface(24, parameters.georeference.beams))
         _estimate(estimator)
@@ -204,7 +204,7 @@ def _epochs(parameters: Parameters) -> None:
     kept = []
     for seed in (1, 2):
         estimator: VolumeEstimator = stage.VolumeEstimator(parameters)
-        estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
+        estimator.add_platform(_platform_at_rest(np.array([START_NS, START_NS + BIN_NS], np.int64)))
         estimator.add(_made_up_surface(24, parameters.georeference.beams, seed))
         kept.append(estimator.epoch())
     epochs.epoch_difference(kept[1], kept[0])

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, about, bodies_of_survey
+from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, bodies_of_survey, returns_around
 from ladar_volume.georeference.fix_steps import step_doubts
 from ladar_volume.io import results
 from ladar_volume.io.bags import Recording
@@ -102,7 +102,7 @@ class Replay:
                 self.engine.step()
                 progress(share)
                 self._station(share)
-        estimate = self.estimated(self.engine.finish)
+        estimate = self.estimate_or_refuse(self.engine.finish)
         if self.stations:
             v = estimate.volume
             self.convergence.append((1.0, v.volume_m3, v.sigma_m3))
@@ -117,7 +117,7 @@ class Replay:
             "cloud": self._add_returns,
         }
 
-    def estimated(self, estimate: Callable[[], Estimate]) -> Estimate:
+    def estimate_or_refuse(self, estimate: Callable[[], Estimate]) -> Estimate:
         """An estimate; where there is none, the error says what was not used."""
         try:
             return estimate()
@@ -240,7 +240,7 @@ class Replay:
         """The closed bodies of what was replayed, about the outlines of the estimate. Raises as
         :func:`~ladar_volume.clouds.survey.survey_bodies.bodies_of_survey`.
         """
-        near = about(estimate, self.engine.returned.returns(), self.parameters)
+        near = returns_around(estimate, self.engine.returned.returns(), self.parameters)
         sources = self.engine.estimator.epoch().sources
         return bodies_of_survey(near, sources, self.parameters)
 

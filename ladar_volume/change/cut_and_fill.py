@@ -37,7 +37,7 @@ from ladar_volume.volume.near_base import (
     scatter,
     smooth_heights,
 )
-from ladar_volume.volume.overlay import Between
+from ladar_volume.volume.overlay import VolumesBetween
 from ladar_volume.volume.prismoids import positive_part
 
 #: A level of zero, above which differences stand.
@@ -65,7 +65,7 @@ class CutAndFill(NamedTuple):
 def cut_and_fill(
     new: Epoch,
     previous: Epoch,
-    found: Between,
+    found: VolumesBetween,
     apart: Difference,
     budget: EpochBudget,
     separate: Collection[str] = (),
@@ -139,7 +139,7 @@ def near_difference(new: Epoch, previous: Epoch, apart: Difference) -> NearBase 
 def part_variances(
     new: Epoch,
     previous: Epoch,
-    found: Between,
+    found: VolumesBetween,
     apart: Difference,
     near: NearBase | None,
     separate: Collection[str],

@@ -21,7 +21,7 @@ from ladar_volume.model.records import F64, Tin, Volume
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.epoch_budget import Epoch, EpochBudget, epoch_budget
 from ladar_volume.volume.outline import boundary_loop
-from ladar_volume.volume.overlay import Between, between
+from ladar_volume.volume.overlay import VolumesBetween, volumes_between
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Name of the base of a difference.
@@ -71,7 +71,7 @@ def epoch_difference(
     :func:`epoch_budget` does, and where the two surfaces have no area in common.
     """
     upper, lower = within_outline(new.tin, polygon), previous.tin
-    found, apart = between(upper, lower), difference(upper, lower)
+    found, apart = volumes_between(upper, lower), difference(upper, lower)
     budget = epoch_budget(new, previous, found.gradient_net, found.lower_net, separate)
     parts = cut_and_fill(new, previous, found, apart, budget, separate)
     volume = as_volume(new, previous, found, apart, budget, parts)
@@ -99,7 +99,7 @@ def change_centroid(apart: Difference, heights: F64) -> tuple[float, float, floa
 def as_volume(
     new: Epoch,
     previous: Epoch,
-    found: Between,
+    found: VolumesBetween,
     apart: Difference,
     budget: EpochBudget,
     parts: CutAndFill,

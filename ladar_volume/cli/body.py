@@ -55,8 +55,8 @@ from ladar_volume.ground.objects import (
     Objects,
     find_objects,
     heights_above_ground,
-    objects_at,
-    objects_in,
+    objects_at_places,
+    objects_in_regions,
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
@@ -312,11 +312,11 @@ def objects_of(
     a, r = arguments, points.r
     p = object_parameters(a, points, ground)
     if a.pick:
-        return objects_at(r, [ground], [np.array(at)[None] for at in a.pick], p), None
+        return objects_at_places(r, [ground], [np.array(at)[None] for at in a.pick], p), None
     regions = [in_polygon(r, np.array(ring)) for ring in a.polygon]
     regions += [in_box(r, np.array(box[:3]), np.array(box[3:])) for box in a.box]
     if regions:
-        return objects_in(r, [ground], regions, p), None
+        return objects_in_regions(r, [ground], regions, p), None
     found = find_objects(r, [ground], p)
     missed = missed_points(r, ground, found, p)
     check_missed(missed)

@@ -19,7 +19,7 @@ from ladar_volume.calibration.flight import Flight, apply_corrections, flight
 from ladar_volume.calibration.repeats import correction_of
 from ladar_volume.calibration.selfcal import CORRECTED, StripCalibration, calibrate
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.replay import topics_from
+from ladar_volume.cli.replay import topics_by_role
 from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.io.bags import wanted_topics
@@ -71,7 +71,7 @@ def recorded_flight(
         replay = Replay(
             bag,
             parameters,
-            bag.roles(wanted_topics(topics_from(arguments.topic), parameters)),
+            bag.roles(wanted_topics(topics_by_role(arguments.topic), parameters)),
             arguments.start,
             arguments.duration,
         )

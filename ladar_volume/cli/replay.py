@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
 
 
-def topics_from(words: list[str]) -> dict[str, str]:
+def topics_by_role(words: list[str]) -> dict[str, str]:
     """``role=topic`` words as a dictionary."""
     return dict(word.split("=", 1) for word in words if "=" in word)
 
@@ -84,7 +84,7 @@ def _replay_and_write(
     """Replay and write; returns the result and the seconds the replay took."""
     with open_recording(arguments.bag) as bag:
         poses = poses_of(arguments, parameters)
-        roles = bag.roles(wanted_topics(topics_from(arguments.topic), parameters))
+        roles = bag.roles(wanted_topics(topics_by_role(arguments.topic), parameters))
         part = (arguments.start, arguments.duration)
         replay = Replay(bag, parameters, roles, *part, poses, arguments.convergence)
         began = time.perf_counter()

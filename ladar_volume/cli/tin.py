@@ -145,7 +145,7 @@ def write_cleaned(
         return None
     cloud = source.cloud
     kept, lost = carried_columns(cloud, path, ["index"])
-    r = surface.points if frame is None else frame.points_back(surface.points)
+    r = surface.points if frame is None else frame.points_to_map(surface.points)
     columns = {name: values[surface.index] for name, values in kept.items()}
     write_cloud(path, r, {**columns, "index": cloud.rows[surface.index]}, like=cloud)
     return {"path": path.name, "points": len(r), "columns_lost": lost}
@@ -162,7 +162,9 @@ def write_surface(
     returns what the JSON says of the file.
     """
     tin = (
-        surface.representation.tin if frame is None else frame.tin_back(surface.representation.tin)
+        surface.representation.tin
+        if frame is None
+        else frame.tin_to_map(surface.representation.tin)
     )
     vertices, faces = write_tin(
         arguments.output,

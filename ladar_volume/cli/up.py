@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.replay import show_bodies, topics_from, write_outputs
+from ladar_volume.cli.replay import show_bodies, topics_by_role, write_outputs
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
@@ -50,7 +50,7 @@ def ros_arguments(arguments: argparse.Namespace) -> list[str]:
     """What follows ``--ros-args``; live, ``--topic role=topic`` as a remapping. Raises
     :class:`ConfigurationError` for a role that there is not.
     """
-    topics = topics_from(arguments.topic)
+    topics = topics_by_role(arguments.topic)
     if unknown := set(topics) - set(ROLES):
         raise ConfigurationError(
             f"--topic {short_repr(min(unknown))}: roles are {', '.join(ROLES)}", value=unknown
@@ -223,7 +223,7 @@ def played_result(
         open_recording(arguments.play) as bag,
         Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
     ):
-        topics = bag.roles(wanted_topics(topics_from(arguments.topic), parameters))
+        topics = bag.roles(wanted_topics(topics_by_role(arguments.topic), parameters))
         bag.require(topics, parameters.georeference.pose_source)
         task = bar.add_task(
             f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes",

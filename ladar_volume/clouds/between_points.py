@@ -83,7 +83,9 @@ def between_points(
     points are too few to tell.
     """
     tin = surface.representation.tin
-    hidden = unseen(surface, inside if untold is None else np.where(untold, inside, 0.0), height)
+    hidden = bridged_deviation(
+        surface, inside if untold is None else np.where(untold, inside, 0.0), height
+    )
     spacing, own = spacings(tin.vertices[:, :2]), along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:
@@ -221,7 +223,7 @@ def noise_of(surface: CloudSurface, gradient: F64) -> float:
     return float(((gradient * sigma) ** 2).sum())
 
 
-def unseen(surface: CloudSurface, inside: F64, height: F64) -> float:
+def bridged_deviation(surface: CloudSurface, inside: F64, height: F64) -> float:
     """How far, m³, the volume may be off where triangles bridge what was not sampled: a third of
     the difference in height between their corners, in all of them alike. The truth is some step or
     hollow between the corners; a triangle holds a third or two thirds of it.

@@ -45,7 +45,7 @@ def undercuts(made: CloudBodies, points: BodyPoints) -> list[float]:
         return [0.0] * len(made.bodies)
     floor = points.r[made.ground.support]
     shares = (
-        seen_under(body, floor, float(mesh.report["spacing_m"]))
+        share_of_ground_under(body, floor, float(mesh.report["spacing_m"]))
         for body, mesh in zip(made.bodies, made.meshes, strict=True)
     )
     return [share if share > UNDERCUT else 0.0 for share in shares]
@@ -84,7 +84,7 @@ def closing_doubts(made: CloudBodies) -> tuple[Doubt, ...]:
     return tuple(doubts)
 
 
-def seen_under(body: Body, floor: F64, spacing_m: float) -> float:
+def share_of_ground_under(body: Body, floor: F64, spacing_m: float) -> float:
     """Share of the area a body is closed on, away from its rim, on which points (n, 3) m of the
     ground lie; as dense as the ground around it they would be all of it.
     """

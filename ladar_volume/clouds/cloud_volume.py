@@ -26,7 +26,7 @@ from ladar_volume.tin.full_tin import any_corner
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.near_base import REACH, NearBase, near_base
 from ladar_volume.volume.neighbourhood import SparseF64
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import Prismoids, prismoids
 from ladar_volume.volume.volume_loads import base_name, ground_field, whole_triangles
@@ -239,7 +239,7 @@ def between_clouds(
     Raises :class:`VolumeError` where the two have no area in common.
     """
     one, two = upper.representation.tin, lower.representation.tin
-    found, near, curved = between(one, two), None, 0.0
+    found, near, curved = volumes_between(one, two), None, 0.0
     net, cut = (
         [found.gradient_net[:, 2], found.lower_net[:, 2]],
         [found.gradient_cut[:, 2], found.lower_cut[:, 2]],

@@ -16,7 +16,7 @@ from ladar_volume.tin.boundary import edit_boundary
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import with_relevant
 from ladar_volume.tin.represent import RepresentedSurface, represent
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 
 #: What a mesh's sigma is where no one gives it.
 UNKNOWN = "unknown: a mesh has no noise of its own; give --sigma, that of its heights"
@@ -54,7 +54,7 @@ def reduce_vertices(
             reason="surface_no_relevant",
         )
     tin = dataclasses.replace(tin, relevant=tin.relevant & over)
-    apart, area = between(tin, given, gradients=False), total_area(given)
+    apart, area = volumes_between(tin, given, gradients=False), total_area(given)
     lost, more = area - apart.area_m2, total_area(tin) - apart.area_m2
     depth = (apart.cut_m3 + apart.fill_m3) / apart.area_m2
     text = (

@@ -253,7 +253,7 @@ def with_gaps(
     return with_lines(volume, {"unseen": found.variance_m6}), gap_mask, doubts
 
 
-def with_between(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
+def with_between_points(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
     """The volume with what lies between the points in its standard deviations."""
     if math.isnan(volume.sigma_m3):
         return volume
@@ -319,7 +319,7 @@ def volume_with_verdict(
     )
     height = height_above(tin.vertices, base)
     between = between_points(surface, inside, height, ~gap_mask)
-    found = with_between(volume, between)
+    found = with_between_points(volume, between)
     found = with_edge(found, surface, inside, height, by_body)
     doubts = gaps or surface_doubts(surface, inside)
     doubts += shrunk_doubts(surface, inside, height, found)

@@ -109,7 +109,7 @@ def point_sigmas(budget: BudgetParameters, beam: npt.ArrayLike, range_m: float) 
     return np.sqrt(np.diag(C))
 
 
-def alone(budget: BudgetParameters, source: str) -> BudgetParameters:
+def budget_of_source(budget: BudgetParameters, source: str) -> BudgetParameters:
     """The budget with one of :data:`SOURCES` only."""
     off: dict[str, Any] = {}
     for fields in (f for name, f in SOURCES.items() if name != source):
@@ -226,7 +226,10 @@ def summary(pile: ToleranceRule | None = None) -> dict[str, Any]:
             "readings": {r.title: [r.sigmas(h).tolist() for h in HEIGHTS_M] for r in READINGS},
         },
         "by_source_m": {
-            s: [printed.sigmas(h, alone(PRESETS["survey"], s)).tolist() for h in HEIGHTS_M]
+            s: [
+                printed.sigmas(h, budget_of_source(PRESETS["survey"], s)).tolist()
+                for h in HEIGHTS_M
+            ]
             for s in SOURCES
         },
         "interpolated_z_m": {

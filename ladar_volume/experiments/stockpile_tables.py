@@ -22,7 +22,7 @@ from ladar_volume.experiments.stockpile import (
     SHARE,
     SOURCES,
     ToleranceRule,
-    alone,
+    budget_of_source,
     position_sigmas,
 )
 from ladar_volume.georeference.error_budget import PRESETS
@@ -59,7 +59,14 @@ def source_table(_: ToleranceRule) -> str:
     head = ["source alone", *(f"{axis} at {h:.0f} m" for h in HEIGHTS_M for axis in "XYZ")]
     one = READINGS[0]
     rows = [
-        [s, *(c for h in HEIGHTS_M for c in metres(one.sigmas(h, alone(PRESETS[one.preset], s))))]
+        [
+            s,
+            *(
+                c
+                for h in HEIGHTS_M
+                for c in metres(one.sigmas(h, budget_of_source(PRESETS[one.preset], s)))
+            ),
+        ]
         for s in SOURCES
     ]
     return markdown(head, rows)
@@ -151,7 +158,7 @@ def write_figure(folder: Path) -> str:
     figure, axes = panels(1, 2, 5.6, 4.2)
     reach, one = np.linspace(20.0, 250.0, 47), READINGS[0]
     for source in SOURCES:
-        budget = alone(PRESETS[one.preset], source)
+        budget = budget_of_source(PRESETS[one.preset], source)
         axes[0, 0].plot(reach, [one.sigmas(r, budget)[2] for r in reach], lw=1.2, label=source)
     axes[0, 0].plot(reach, [one.sigmas(r)[2] for r in reach], color="black", lw=1.6, label="all")
     axes[0, 0].plot(HEIGHTS_M, [p[2] for p in PRINTED], "kx", label="printed")

@@ -77,7 +77,7 @@ def find_objects(
     return _objects(points, height, label)
 
 
-def objects_in(
+def objects_in_regions(
     points: F64,
     grounds: Sequence[Plane],
     regions: Sequence[Bool],
@@ -109,7 +109,7 @@ def objects_in(
     return _objects(points, height, label)
 
 
-def objects_at(
+def objects_at_places(
     points: F64,
     grounds: Sequence[Plane],
     picks: Sequence[F64],

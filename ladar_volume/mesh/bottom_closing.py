@@ -24,7 +24,7 @@ from ladar_volume.mesh.linear_mesh import (
     vertex_normals,
 )
 from ladar_volume.mesh.rims import Rim, place_text
-from ladar_volume.mesh.unseen_foot import extrapolation_reach, lean_on, unseen_bend
+from ladar_volume.mesh.unseen_foot import extrapolation_reach, unseen_bend, wall_directions
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
@@ -118,7 +118,7 @@ def loops_of(rims: list[Rim]) -> list[I64]:
     return np.split(np.arange(ends[-1]), ends[:-1])
 
 
-def stand_on(
+def join_to_ground(
     skin: LinearMesh, rims: list[Rim], ground: Plane, up: F64
 ) -> tuple[LinearMesh, list[Closure]]:
     """All rims that look down joined to the ground, and their feet to each other."""
@@ -127,7 +127,7 @@ def stand_on(
         vertex_normals(skin.vertices, skin.triangles)[skin.triangles], skin.normals.shape
     )
     tangent = downward(skin, all_of, np.where(np.isnan(skin.normals), own, skin.normals))
-    known = known_at(skin, all_of)
+    known = has_known_normals(skin, all_of)
     straight = np.broadcast_to(DOWN, tangent.shape)
     p = skin.vertices[all_of]
     along = np.where(known[:, None], tangent, straight)
@@ -165,7 +165,7 @@ def _wall_directions(
     p = skin.vertices[all_of]
     drawn = np.linalg.norm(ground_feet(p, along, ground)[0] - p, axis=1)
     reach = np.concatenate([extrapolation_reach(skin, all_of[i], drawn[i]) for i in loops_of(rims)])
-    return lean_on(skin, all_of, along, (along != DOWN).any(axis=1), reach, drawn)
+    return wall_directions(skin, all_of, along, (along != DOWN).any(axis=1), reach, drawn)
 
 
 class _Feet(NamedTuple):
@@ -213,7 +213,7 @@ def _close_to_ground(
     return np.concatenate(triangles), made
 
 
-def known_at(skin: LinearMesh, vertices: I64) -> Bool:
+def has_known_normals(skin: LinearMesh, vertices: I64) -> Bool:
     """Whether (k,) the normals at all corners of vertices are known."""
     unknown = np.bincount(
         skin.triangles.ravel(), np.isnan(skin.normals[..., 0]).ravel(), len(skin.vertices)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.polynomial import degree_of, height_above
-from ladar_volume.mesh.bottom_closing import IN_PLANE, Closure, stand_on, tetrahedra
+from ladar_volume.mesh.bottom_closing import IN_PLANE, Closure, join_to_ground, tetrahedra
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.ground_clipping import clip_to_ground, steepness
 from ladar_volume.mesh.hole_filling import least_area
@@ -63,7 +63,7 @@ def close(
         skin, closure = fill_gap(skin, rim, close_m, hint)
         made.append(closure)
     if bottoms and ground is not None:
-        skin, closures = stand_on(skin, bottoms, ground, up)
+        skin, closures = join_to_ground(skin, bottoms, ground, up)
         made += closures
     return skin, made
 

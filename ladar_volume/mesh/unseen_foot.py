@@ -59,7 +59,7 @@ class _Wall(NamedTuple):
     tree: cKDTree
 
 
-def lean_on(
+def wall_directions(
     skin: LinearMesh, rim: I64, along: F64, steep: Bool, reach_m: F64, drawn_m: F64
 ) -> tuple[F64, csr_matrix]:
     """Directions (k, 3) down plane walls at rim vertices (k,), and their derivative (3k, 3n) by the

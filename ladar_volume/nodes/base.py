@@ -40,9 +40,9 @@ from ladar_volume.model.parameters import SECTIONS, CalibrationParameters, Param
 from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import (
     descriptor,
-    outside,
-    why_never,
-    why_not_now,
+    launch_refusal,
+    plain_value,
+    runtime_refusal,
 )
 from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, deserialize, take_waiting
 from ladar_volume.nodes.frames.static_mounting import mounting_from_frames
@@ -135,7 +135,8 @@ class StageNode(LifecycleNode, ABC):
                 )
         values = {
             s: {
-                k.key: outside(self.get_parameter(f"{s}.{k.key}").value) for k in specs(SECTIONS[s])
+                k.key: plain_value(self.get_parameter(f"{s}.{k.key}").value)
+                for k in specs(SECTIONS[s])
             }
             for s in self.sections
         }
@@ -147,12 +148,12 @@ class StageNode(LifecycleNode, ABC):
             section, dot, key = change.name.partition(".")
             if not dot or section not in SECTIONS:
                 continue
-            reason = why_never(change.name)
+            reason = launch_refusal(change.name)
             if reason is None and self._worker is not None:
-                reason = why_not_now(change.name, self.runtime_sections)
+                reason = runtime_refusal(change.name, self.runtime_sections)
             if reason is not None:
                 return SetParametersResult(successful=False, reason=reason)
-            values.setdefault(section, {})[key] = outside(change.value)
+            values.setdefault(section, {})[key] = plain_value(change.value)
         if not values:
             return SetParametersResult(successful=True)
         try:

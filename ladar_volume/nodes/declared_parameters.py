@@ -53,14 +53,14 @@ def descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     return d
 
 
-def outside(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """A parameter's value as this package's own reader takes it."""
     if value is None:
         return []
     return value if isinstance(value, str | int | float | bool) else list(value)
 
 
-def why_never(name: str) -> str | None:
+def launch_refusal(name: str) -> str | None:
     """Why a parameter cannot change once its node was launched; None where it can."""
     if name in FILES:
         return (
@@ -70,7 +70,7 @@ def why_never(name: str) -> str | None:
     return None
 
 
-def why_not_now(name: str, runtime_sections: tuple[str, ...]) -> str | None:
+def runtime_refusal(name: str, runtime_sections: tuple[str, ...]) -> str | None:
     """Why a parameter cannot change while its node is configured; None where it can."""
     if name in AT_START:
         return f"{name} is read when the node is configured: clean the node up first, or restart it"

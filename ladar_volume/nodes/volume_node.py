@@ -410,7 +410,7 @@ class VolumeNode(StageNode):
                 self.losses.add("message_filter_late")
             try:
                 if self._closed is not None:
-                    await self._closed.of_all(self._begin_bodies)
+                    await self._closed.wait_for_all(self._begin_bodies)
                 with self._lock:
                     response.message = json.dumps(results.finite(action()))
                 response.success = True

@@ -23,7 +23,7 @@ from ladar_volume.tin.locate import height_at
 from ladar_volume.uncertainty.ground_field import GroundField, Roughness
 from ladar_volume.volume.near_base import near_base
 from ladar_volume.volume.neighbourhood import SparseF64
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.polygon import check_polygon, clipped_prismoids, weights_inside
 from ladar_volume.volume.volume_loads import ground_field, whole_triangles
 
@@ -191,7 +191,7 @@ def solid_above_toe(
         return dataclasses.replace(made, gradients=gradients, extra=dict(net.extra))
     assert base.tin is not None
     upper = dataclasses.replace(part.tin, relevant=part.inside_m2 > 0)
-    found = between(upper, base.tin)
+    found = volumes_between(upper, base.tin)
     cut = found.gradient_cut[:, 2] + B.T @ (M.T @ found.lower_cut[:, 2])
     relative = relative_to(part.tin, base.tin)
     near, curved = None, 0.0

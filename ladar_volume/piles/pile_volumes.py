@@ -134,7 +134,7 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     reference = asked.plane if asked.plane is not None else reference_of(part, made)
     volume, verdict = pile_with_verdict(site, part, task, parameters, asked, reference, ground)
     nets = {n: net_above(part, base, rough) for n, base in made.items() if n != task.base}
-    bases = all_above(part, nets, volume)
+    bases = volumes_above_bases(part, nets, volume)
     if not task.is_named:
         volume = with_choice(volume, bases)
     verdict = verdict + Verdict(tuple(outline_doubts(part)))
@@ -152,7 +152,7 @@ def net_above(part: PilePart, base: Made, rough: Roughness | None = None) -> Net
     return above_toe(part, base, rough) if isinstance(base, ToeBase) else above_plane(part, base)
 
 
-def all_above(
+def volumes_above_bases(
     part: PilePart,
     nets: Mapping[str, Net | LadarVolumeError],
     asked: CloudVolume,

@@ -88,7 +88,7 @@ def _scene(report: CloudReport) -> Scene:
         outlines=_outlines(report),
         base_at=base_at,
         base=str(report.facts["base"]),
-        where=_where(report.facts),
+        where=_system_words(report.facts),
     )
 
 
@@ -168,7 +168,7 @@ def _outlines(report: CloudReport) -> list[F64]:
     return [boundary_loop(tin, part == number) for number in largest.tolist()]
 
 
-def _where(facts: Mapping[str, Any]) -> str:
+def _system_words(facts: Mapping[str, Any]) -> str:
     """The coordinate system in words."""
     if facts["frame"]["name"] != "level":
         return "scan frame: the third axis is the scan direction"

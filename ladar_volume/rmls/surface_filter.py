@@ -71,7 +71,7 @@ class SurfaceFilter:
         """Time of the newest point taken in, ns."""
         return self._t_ns
 
-    def hand_over(self) -> Candidates:
+    def release_points(self) -> Candidates:
         """The points held, which are then no longer here, for a filter elsewhere
         (``tile_filter``). Not for a filter that has been asked for an update.
         """

@@ -91,7 +91,7 @@ class TiledReplay:
             replay.engine.points_mapped += piece.mapped
             replay.losses.merge(Losses(piece.losses))
         self._tiles(recorded, pieces, progress)
-        return replay.estimated(replay.engine.estimator.estimate)
+        return replay.estimate_or_refuse(replay.engine.estimator.estimate)
 
     def _poses(self) -> str:
         """Take in the poses of the whole recording; returns why it must be georeferenced in one
@@ -172,11 +172,13 @@ class TiledReplay:
             progress("filtering", share, round(offered * share))
 
         longest = sorted(tasks, key=lambda task: (-task.rows, task.tile))
-        self._mended(recorded, lambda: results(self.work.workers, filter_tile, longest, report))
+        self._with_repair(
+            recorded, lambda: results(self.work.workers, filter_tile, longest, report)
+        )
         counts = dict.fromkeys(("voxels", "kept", "outliers", "unfitted", "patches"), 0)
         newest = max((piece.newest_ns for piece in pieces), default=0)
         for task in tasks:
-            found = self._mended(recorded, partial(self._read, task))
+            found = self._with_repair(recorded, partial(self._read, task))
             if found is not None:
                 replay.engine.estimator.add(update_of(found, newest))
                 for name in ("voxels", "kept", "outliers", "unfitted"):
@@ -229,7 +231,7 @@ class TiledReplay:
         results(self.work.workers, filter_tile, [task], lambda tile: None)
         return read_patches(task)
 
-    def _mended(self, recorded: RecordedSurvey, action: Callable[[], B]) -> B:
+    def _with_repair(self, recorded: RecordedSurvey, action: Callable[[], B]) -> B:
         """The result of an action that reads what is at rest; what is damaged is made anew, once
         each.
         """

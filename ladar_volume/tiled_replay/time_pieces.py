@@ -169,7 +169,9 @@ class TileWriter:
         if self.filter.stats["voxels"] * self._cap > least:
             path = self._recorded.returns / f"{self._k:06d}_{self._archives:06d}.parquet"
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._piece.tiles += write_returns(path, self.filter.hand_over(), self._recorded.side)
+            self._piece.tiles += write_returns(
+                path, self.filter.release_points(), self._recorded.side
+            )
             self._archives += 1
 
 
@@ -191,7 +193,7 @@ def georeference_one(recorded: RecordedSurvey, k: int, replay: Replay) -> Piece:
     losses.merge(writer.filter.losses)
     kinds = ("cloud_", "point_", "bag_")  # those of poses are counted once, for all pieces
     out.losses = {reason: count for reason, count in losses.items() if reason.startswith(kinds)}
-    out.apart = why_apart(recorded, k, out.losses, held, writer.stage.restarts)
+    out.apart = separation_reason(recorded, k, out.losses, held, writer.stage.restarts)
     return out
 
 
@@ -206,7 +208,7 @@ def taker(replay: Replay) -> Callable[[Returns], None]:
     return take
 
 
-def why_apart(
+def separation_reason(
     recorded: RecordedSurvey, k: int, losses: dict[str, int], held: int, restarts: int
 ) -> str:
     """Why a piece is not what it is in the whole recording, or nothing."""

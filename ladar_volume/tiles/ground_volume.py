@@ -18,7 +18,7 @@ from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_ground_volume, tile_outline
-from ladar_volume.tiles.tile_batches import Tiled, ask, run_batch
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, run_batch
 from ladar_volume.tiles.tile_ground_volume import Above, GroundSums, Squares
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_store import CloudParts, Tile, TileIndex, distribute_part, tile_index
@@ -55,7 +55,7 @@ class GroundVolume:
 
 
 @dataclass(frozen=True)
-class Triangulated:
+class TriangulatedTile:
     """What is known of a tile once it is triangulated: its reach, points and their noise, m, NaN
     where it is not asked for or cannot be told.
     """
@@ -65,13 +65,15 @@ class Triangulated:
     sigma_m: float
 
 
-def triangulated(of: Tiled, tile: Tile, noise: bool) -> Triangulated:
+def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
     """Triangulate a tile where that is not done yet; ``noise`` : whether that of its points is
     asked for.
     """
     points = surface_of(of.index, of.limits, tile).points
     sigma = noise_of_tile(of.index.points(tile)) if noise else None
-    return Triangulated(tile_outline.reach(of, tile), points, math.nan if sigma is None else sigma)
+    return TriangulatedTile(
+        tile_outline.reach(of, tile), points, math.nan if sigma is None else sigma
+    )
 
 
 def above_ground(
@@ -94,11 +96,11 @@ def above_ground(
         lambda _: progress("into tiles", cloud.points, each),
     )
     index = tile_index(cloud)
-    of, total = Tiled(index, limits), sum(index.count.values())
+    of, total = TiledCloud(index, limits), sum(index.count.values())
     longest = sorted(index.count, key=lambda t: (-index.count[t], t))
     found = results(
         workers,
-        partial(run_batch, triangulated, of),
+        partial(run_batch, triangulate_tile, of),
         [(k, [(tile, sigma_m is None)]) for k, tile in enumerate(longest)],
         lambda done: progress("surface", total, done[1][0].points),
     )
@@ -113,7 +115,7 @@ def above_ground(
     return GroundVolume(volume, outline.fit.plane, index, sums, sigma)
 
 
-def noise_of(tiles: list[Triangulated]) -> float:
+def noise_of(tiles: list[TriangulatedTile]) -> float:
     """Root mean square by points of the noise of all tiles, m. Raises :class:`SurfaceError` where
     no tile can tell.
     """
@@ -195,7 +197,7 @@ class VolumeAbove:
         and of their noise variances in those of one point.
         """
         chosen, side = self.fit.chosen, occupied_side(low, high)
-        grid = self._ask(tile_ground_volume.occupied, chosen, low, side)
+        grid = self._ask(tile_ground_volume.points_per_square, chosen, low, side)
         some = self.fitter.at_ranks(chosen, n, sample_step(n))[:, 1:4]
         residual = height_above(some, self.fit.plane)
         spacing = spacing_of(int(np.count_nonzero(grid)), side, n)

@@ -67,7 +67,7 @@ class TileRows:
     voxels: int
 
 
-def dealt_out(keys: I64, side: int) -> tuple[I64, I64]:
+def tiles_of_rows(keys: I64, side: int) -> tuple[I64, I64]:
     """Rows (m,) and tiles (m, 2): each row with the tile of its voxel and with those whose halo
     this lies in.
     """
@@ -122,7 +122,7 @@ def write_returns(path: Path, points: Candidates, side: int) -> list[tuple[Tile,
     """Write an archive; returns what it holds of each tile."""
     import pyarrow.parquet as pq
 
-    rows, tiles = dealt_out(points.key, side)
+    rows, tiles = tiles_of_rows(points.key, side)
     order = np.lexsort((points.hash[rows], points.key[rows], tiles[:, 1], tiles[:, 0]))
     rows, tiles = rows[order], tiles[order]
     new = np.flatnonzero(np.r_[True, (np.diff(tiles, axis=0) != 0).any(axis=1)][: len(rows)])

@@ -19,7 +19,7 @@ BATCHES = 64
 
 
 @dataclass(frozen=True)
-class Tiled:
+class TiledCloud:
     """index : the tiles · limits : which triangles count"""
 
     index: TileIndex
@@ -38,7 +38,7 @@ def words_of(index: TileIndex, tile: Tile) -> str:
 
 
 def run_batch(
-    op: Callable[..., R], of: Tiled, batch: tuple[int, Sequence[tuple[Any, ...]]]
+    op: Callable[..., R], of: TiledCloud, batch: tuple[int, Sequence[tuple[Any, ...]]]
 ) -> tuple[int, list[R]]:
     """The number of a batch, and its answers. Errors name the tile."""
     out = []
@@ -52,7 +52,7 @@ def run_batch(
 
 
 def sum_batch(
-    op: Callable[..., Any], of: Tiled, batch: tuple[int, Sequence[tuple[Any, ...]]]
+    op: Callable[..., Any], of: TiledCloud, batch: tuple[int, Sequence[tuple[Any, ...]]]
 ) -> tuple[int, list[Any]]:
     """The same, the answers added up."""
     number, answers = run_batch(op, of, batch)
@@ -61,7 +61,7 @@ def sum_batch(
 
 def ask(
     workers: Workers,
-    of: Tiled,
+    of: TiledCloud,
     op: Callable[..., R],
     more: Sequence[tuple[Any, ...]] | None = None,
     progress: Callable[[int], None] = lambda tiles: None,

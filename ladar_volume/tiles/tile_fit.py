@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import base_height, design, design_surface
 from ladar_volume.model.records import F64, I64, Bool
-from ladar_volume.tiles.tile_batches import Tiled
+from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import used_of
 
@@ -19,7 +19,7 @@ COARSE_BITS = 40
 
 
 @dataclass(frozen=True)
-class Chosen:
+class VertexSelection:
     """Vertices that a ground is fitted to: of those that count, or of a ring of them at rest in the
     folder ``ring``, the ones within ``limit_m`` of a surface, or those with given rows (k,) of the
     file, ascending.
@@ -40,7 +40,7 @@ class Chosen:
         return np.asarray(off <= self.limit_m)
 
 
-def vertices(of: Tiled, tile: Tile, ring: Path | None = None) -> tuple[F64, F64, I64]:
+def vertices(of: TiledCloud, tile: Tile, ring: Path | None = None) -> tuple[F64, F64, I64]:
     """Of a tile's vertices that count, or of those in a ring: places (k, 3) m, points at each (k,),
     rows (k,).
     """
@@ -51,20 +51,20 @@ def vertices(of: Tiled, tile: Tile, ring: Path | None = None) -> tuple[F64, F64,
     return xyz, shared, row
 
 
-def chosen_of(of: Tiled, tile: Tile, chosen: Chosen) -> tuple[F64, F64, I64]:
+def chosen_of(of: TiledCloud, tile: Tile, chosen: VertexSelection) -> tuple[F64, F64, I64]:
     """The same of the chosen ones."""
     xyz, shared, row = vertices(of, tile, chosen.ring)
     mask = chosen.mask(xyz, row)
     return xyz[mask], shared[mask], row[mask]
 
 
-def extent(of: Tiled, tile: Tile, ring: Path | None) -> tuple[int, float]:
+def extent(of: TiledCloud, tile: Tile, ring: Path | None) -> tuple[int, float]:
     """How many vertices there are, and their greatest height up or down, m."""
     xyz, _, _ = vertices(of, tile, ring)
     return len(xyz), float(np.abs(xyz[:, 2]).max(initial=0.0))
 
 
-def products(of: Tiled, tile: Tile, chosen: Chosen) -> tuple[int, F64, F64, bytes]:
+def products(of: TiledCloud, tile: Tile, chosen: VertexSelection) -> tuple[int, F64, F64, bytes]:
     """Number of the chosen, ``XᵀX`` (p, p), ``Xᵀz`` (p,), and a digest of which they are."""
     xyz, _, row = vertices(of, tile, chosen.ring)
     mask = chosen.mask(xyz, row)
@@ -73,13 +73,13 @@ def products(of: Tiled, tile: Tile, chosen: Chosen) -> tuple[int, F64, F64, byte
     return len(X), X.T @ X, X.T @ xyz[mask, 2], name
 
 
-def design_of(chosen: Chosen, xyz: F64) -> F64:
+def design_of(chosen: VertexSelection, xyz: F64) -> F64:
     """Design rows (k, p) at places (k, 3) m."""
     degree = (1, 3, 6, 10).index(len(chosen.beta))
     return design(xyz[:, :2], np.array(chosen.origin_xy), degree)
 
 
-def residuals(of: Tiled, tile: Tile, chosen: Chosen, beta: F64) -> F64:
+def residuals(of: TiledCloud, tile: Tile, chosen: VertexSelection, beta: F64) -> F64:
     """Residuals (k,) m of the chosen."""
     xyz, _, _ = chosen_of(of, tile, chosen)
     out: F64 = xyz[:, 2] - design_of(chosen, xyz) @ beta
@@ -91,7 +91,7 @@ def bins_of(size: F64) -> I64:
     return np.ascontiguousarray(size).view(np.int64) >> COARSE_BITS
 
 
-def spread(of: Tiled, tile: Tile, chosen: Chosen, beta: F64) -> tuple[F64, I64, I64]:
+def spread(of: TiledCloud, tile: Tile, chosen: VertexSelection, beta: F64) -> tuple[F64, I64, I64]:
     """Sum of squared residuals, m², number of those below 0 and sum of their squares, (3,); bins of
     their sizes, and how many there are in each.
     """
@@ -101,34 +101,40 @@ def spread(of: Tiled, tile: Tile, chosen: Chosen, beta: F64) -> tuple[F64, I64, 
     return np.array([r @ r, len(below), below @ below]), bins, count
 
 
-def sizes_in(of: Tiled, tile: Tile, chosen: Chosen, beta: F64, low: int, high: int) -> F64:
+def sizes_in(
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, beta: F64, low: int, high: int
+) -> F64:
     """Sizes (k,) m of the residuals in bins from ``low`` to ``high``."""
     size = np.abs(residuals(of, tile, chosen, beta))
     bins = bins_of(size)
     return size[(bins >= low) & (bins <= high)]
 
 
-def rows_by_block(of: Tiled, tile: Tile, chosen: Chosen, block: int) -> tuple[I64, I64]:
+def rows_by_block(
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, block: int
+) -> tuple[I64, I64]:
     """Blocks of rows of the file that hold chosen ones, and how many each."""
     row = chosen_of(of, tile, chosen)[2]
     blocks, count = np.unique(row // block, return_counts=True)
     return blocks, count
 
 
-def rows_in_blocks(of: Tiled, tile: Tile, chosen: Chosen, block: int, blocks: I64) -> I64:
+def rows_in_blocks(
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, block: int, blocks: I64
+) -> I64:
     """The rows (k,) of the chosen in some blocks, ascending."""
     row = chosen_of(of, tile, chosen)[2]
     return row[np.isin(row // block, blocks)]
 
 
-def vertices_at(of: Tiled, tile: Tile, chosen: Chosen, rows: I64 | None) -> F64:
+def vertices_at(of: TiledCloud, tile: Tile, chosen: VertexSelection, rows: I64 | None) -> F64:
     """Row, x, y, z, points (k, 5) of the chosen with given rows; None for all."""
     xyz, shared, row = chosen_of(of, tile, chosen)
     some = slice(None) if rows is None else np.isin(row, rows)
     return np.column_stack([row, xyz, shared])[some]
 
 
-def layers(of: Tiled, tile: Tile, chosen: Chosen, threshold_m: float) -> I64:
+def layers(of: TiledCloud, tile: Tile, chosen: VertexSelection, threshold_m: float) -> I64:
     """How many vertices lie within the threshold of the surface, and in the layers of the same
     thickness above and below, (3,).
     """
@@ -139,7 +145,7 @@ def layers(of: Tiled, tile: Tile, chosen: Chosen, threshold_m: float) -> I64:
     return np.array([np.count_nonzero(m) for m in (np.abs(r) <= threshold_m, above, below)])
 
 
-def moments(of: Tiled, tile: Tile, chosen: Chosen, about: F64) -> F64:
+def moments(of: TiledCloud, tile: Tile, chosen: VertexSelection, about: F64) -> F64:
     """Sums (4, 4) of products of (1, x, y, z) of the chosen about a place (3,), m."""
     xyz, _, _ = chosen_of(of, tile, chosen)
     d = np.column_stack([np.ones(len(xyz)), xyz - about])

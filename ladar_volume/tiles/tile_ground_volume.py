@@ -9,8 +9,8 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import degree_of, design, height_above
 from ladar_volume.model.records import F64, Bool, Plane
-from ladar_volume.tiles.tile_batches import Tiled
-from ladar_volume.tiles.tile_fit import Chosen, vertices
+from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_fit import VertexSelection, vertices
 from ladar_volume.tiles.tile_outline import read
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
@@ -55,7 +55,7 @@ def inside_of(surface: TileSurface, tile: Tile, folder: Path | None) -> Bool:
     return surface.tin.relevant if folder is None else read(folder, "inside", tile)
 
 
-def ground_sums(of: Tiled, tile: Tile, asked: Above) -> GroundSums:
+def ground_sums(of: TiledCloud, tile: Tile, asked: Above) -> GroundSums:
     """The sums of a tile."""
     surface, base = surface_of(of.index, of.limits, tile), asked.base
     tin = surface.tin
@@ -101,7 +101,7 @@ def gradients(surface: TileSurface, base: Plane, inside: Bool) -> F64:
     return np.stack(both, axis=1)
 
 
-def squares(of: Tiled, tile: Tile, asked: Above, chosen: Chosen, by_sums: F64) -> F64:
+def squares(of: TiledCloud, tile: Tile, asked: Above, chosen: VertexSelection, by_sums: F64) -> F64:
     """Sums of the squared derivatives of net, cut and fill by the heights of the tile's points (3,)
     m⁴: through the surface, and through the ground. by_sums : (p, 2) derivatives of net and cut by
     the sums ``Xᵀz``
@@ -115,7 +115,7 @@ def squares(of: Tiled, tile: Tile, asked: Above, chosen: Chosen, by_sums: F64) -
 
 
 def support_of(
-    of: Tiled, tile: Tile, surface: TileSurface, chosen: Chosen, by_sums: F64
+    of: TiledCloud, tile: Tile, surface: TileSurface, chosen: VertexSelection, by_sums: F64
 ) -> tuple[Bool, F64]:
     """Which of the tile's own vertices (k,) the ground was fitted to, and the derivatives (s, j) of
     results by their heights through it.
@@ -128,7 +128,9 @@ def support_of(
     return some, design(xy, np.array(chosen.origin_xy), degree) @ by_sums
 
 
-def field_facts(of: Tiled, tile: Tile, base: Plane, chosen: Chosen, by_sums: F64) -> F64:
+def field_facts(
+    of: TiledCloud, tile: Tile, base: Plane, chosen: VertexSelection, by_sums: F64
+) -> F64:
     """Of the tile's part of the ground: box (4,), number of points, sums of their squared
     residuals, m², of 1 / points at each, and of their squared weights, m⁴: (8,).
     """
@@ -143,7 +145,9 @@ def field_facts(of: Tiled, tile: Tile, base: Plane, chosen: Chosen, by_sums: F64
     return np.array([*low, *high, len(xyz), r @ r, (1.0 / shared).sum(), w @ w])
 
 
-def occupied(of: Tiled, tile: Tile, chosen: Chosen, low: F64, side: float) -> F64:
+def points_per_square(
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, low: F64, side: float
+) -> F64:
     """How many points of the ground lie on each square (OCCUPIED + 1,) of a side from ``low``."""
     xyz, _, row = vertices(of, tile, chosen.ring)
     xy = xyz[chosen.mask(xyz, row), :2]
@@ -161,7 +165,7 @@ class Squares:
 
 
 def field_grid(
-    of: Tiled, tile: Tile, asked: Above, chosen: Chosen, by_sums: F64, grid: Squares
+    of: TiledCloud, tile: Tile, asked: Above, chosen: VertexSelection, by_sums: F64, grid: Squares
 ) -> F64:
     """Weights, m², with which the deviation of the ground enters the volume, by squares: at the
     points of the ground, and with the area inside the outline.

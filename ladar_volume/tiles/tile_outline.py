@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
-from ladar_volume.tiles.tile_batches import Tiled
+from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tin.boundary import parts_kernel
@@ -69,7 +69,9 @@ def read(folder: Path, name: str, tile: Tile) -> np.ndarray:
     return np.asarray(np.load(at_rest(folder, name, tile), allow_pickle=False))
 
 
-def rising(of: Tiled, tile: Tile, folder: Path, base: Plane, object_height_m: float) -> TileParts:
+def rising_parts(
+    of: TiledCloud, tile: Tile, folder: Path, base: Plane, object_height_m: float
+) -> TileParts:
     """Parts that rise above a base, and their volumes, m³: labels at rest."""
     surface = surface_of(of.index, of.limits, tile)
     tin = surface.tin
@@ -104,7 +106,7 @@ def chosen_parts(label: I64, chosen: Bool) -> Bool:
     return np.append(chosen, False)[label]
 
 
-def body(of: Tiled, tile: Tile, folder: Path, chosen: Bool) -> Box | None:
+def body(of: TiledCloud, tile: Tile, folder: Path, chosen: Bool) -> Box | None:
     """The tile's own vertices of the chosen parts, at rest; returns their box."""
     surface = surface_of(of.index, of.limits, tile)
     mask = chosen_parts(read(folder, "rising", tile), chosen)
@@ -112,7 +114,9 @@ def body(of: Tiled, tile: Tile, folder: Path, chosen: Bool) -> Box | None:
     return write_vertices(folder, "body", tile, surface.tin, some)
 
 
-def near(xy: F64, folder: Path, name: str, beside: Sequence[Tile], distance_m: float) -> Bool:
+def near_stored_places(
+    xy: F64, folder: Path, name: str, beside: Sequence[Tile], distance_m: float
+) -> Bool:
     """Which of the places (k, 2) lie within a distance of one at rest of the tiles beside."""
     out = np.zeros(len(xy), np.bool_)
     for tile in beside:
@@ -131,7 +135,7 @@ def near(xy: F64, folder: Path, name: str, beside: Sequence[Tile], distance_m: f
 
 
 def grow(
-    of: Tiled, tile: Tile, folder: Path, chosen: Bool, beside: Sequence[Tile], margin_m: float
+    of: TiledCloud, tile: Tile, folder: Path, chosen: Bool, beside: Sequence[Tile], margin_m: float
 ) -> TileParts:
     """The chosen parts with the triangles that count within a margin, at rest; and the parts of
     the other triangles, whose totals tell which lead to the edge of what counts.
@@ -139,7 +143,7 @@ def grow(
     surface = surface_of(of.index, of.limits, tile)
     tin = surface.tin
     mask = chosen_parts(read(folder, "rising", tile), chosen)
-    close = near(tin.vertices[:, :2], folder, "body", beside, margin_m)
+    close = near_stored_places(tin.vertices[:, :2], folder, "body", beside, margin_m)
     grown = tin.relevant & (mask | any_corner(tin.triangles, close))
     label = np.asarray(parts_kernel(tin.neighbours, ~grown))
     leads = (label >= 0) & (~tin.relevant | (tin.neighbours == -1).any(axis=1))
@@ -148,7 +152,7 @@ def grow(
     return parts_of(surface, label, total)
 
 
-def fill(of: Tiled, tile: Tile, folder: Path, holes: Bool) -> tuple[Box | None, bytes]:
+def fill(of: TiledCloud, tile: Tile, folder: Path, holes: Bool) -> tuple[Box | None, bytes]:
     """What grew, with its holes: the triangles inside and their own vertices at rest; returns the
     box of these, and a digest of which triangles of the tile are inside.
     """
@@ -162,19 +166,21 @@ def fill(of: Tiled, tile: Tile, folder: Path, holes: Bool) -> tuple[Box | None, 
     return write_vertices(folder, "outline", tile, surface.tin, some), name
 
 
-def ring(of: Tiled, tile: Tile, folder: Path, beside: Sequence[Tile], ring_m: float) -> int:
+def ring_vertices(
+    of: TiledCloud, tile: Tile, folder: Path, beside: Sequence[Tile], ring_m: float
+) -> int:
     """Which of the tile's vertices that count lie around the outline, at rest; returns how many."""
     surface = surface_of(of.index, of.limits, tile)
     tin = surface.tin
     around = ~vertex_mask(tin, read(folder, "inside", tile))[surface.used]
     if ring_m > 0:
         xy = tin.vertices[surface.used, :2][around]
-        around[around] = near(xy, folder, "outline", beside, ring_m)
+        around[around] = near_stored_places(xy, folder, "outline", beside, ring_m)
     write(folder, "ring", tile, around)
     return int(np.count_nonzero(around))
 
 
-def reach(of: Tiled, tile: Tile) -> Box:
+def reach(of: TiledCloud, tile: Tile) -> Box:
     """The box of all vertices of the triangles of a tile."""
     box = box_of(surface_of(of.index, of.limits, tile).tin.vertices[:, :2])
     return of.index.box[tile] if box is None else box

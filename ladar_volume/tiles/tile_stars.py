@@ -272,7 +272,7 @@ class Neighbourhood:
                 added += self.take(tile, partial(intruders, sides, box))
         return added
 
-    def take_some(self) -> int:
+    def take_nearest(self) -> int:
         """Add the points of the nearest tile that has some left; returns how many."""
         i, j = self.tile
         order = sorted(self.index.box, key=lambda t: ((t[0] - i) ** 2 + (t[1] - j) ** 2, t))
@@ -299,7 +299,7 @@ def tile_stars(index: TileIndex, tile: Tile) -> TileStars:
             known = np.concatenate([own, *others])
             tin = build_tin(known[:, :3])
         except SurfaceError:
-            if around.take_some() == 0:
+            if around.take_nearest() == 0:
                 raise
             continue
         mine = tin.source < len(own)

@@ -75,7 +75,7 @@ class DaskWorkers:
         from distributed import CancelledError, KilledWorker, as_completed
 
         start = self.client.map  # type: ignore[attr-defined]
-        futures = start(partial(alone, task), of, pure=False, retries=LOSSES)
+        futures = start(partial(on_one_thread, task), of, pure=False, retries=LOSSES)
         for future in as_completed(futures):  # type: ignore[no-untyped-call]
             try:
                 yield future.result()
@@ -88,7 +88,7 @@ class DaskWorkers:
             future.release()
 
 
-def alone(task: Callable[[A], B], at: A) -> B:
+def on_one_thread(task: Callable[[A], B], at: A) -> B:
     """A task on one thread: workers share the cores by tasks."""
     import numba
 

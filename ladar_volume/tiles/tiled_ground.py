@@ -29,8 +29,8 @@ from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, I64, Plane
 from ladar_volume.tiles import tile_fit
-from ladar_volume.tiles.tile_batches import Tiled, ask
-from ladar_volume.tiles.tile_fit import Chosen
+from ladar_volume.tiles.tile_batches import TiledCloud, ask
+from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_work import Workers
 
 #: Blocks of rows of the file for each row that is looked for by its rank.
@@ -44,7 +44,7 @@ class TiledFit:
     """
 
     plane: Plane
-    chosen: Chosen
+    chosen: VertexSelection
     count: int
     inverse: F64
 
@@ -53,7 +53,7 @@ class TiledFit:
 class GroundFitter:
     """Fits grounds to the vertices of tiles. sigma_m : standard deviation of the heights"""
 
-    of: Tiled
+    of: TiledCloud
     workers: Workers
     sigma_m: float
 
@@ -61,7 +61,7 @@ class GroundFitter:
         """:func:`fit_ground` on all vertices that count."""
         counts = [n for n, _ in ask(self.workers, self.of, tile_fit.extent, self._same(None))]
         n = sum(counts)
-        every = Chosen((0.0, 0.0), (0.0,), math.inf)
+        every = VertexSelection((0.0, 0.0), (0.0,), math.inf)
         step = max(1, n // SEARCHED_POINTS)
         found = self.at_ranks(every, n, step)
         points, variance = found[:, 1:4], self.sigma_m**2 / found[:, 4]
@@ -69,7 +69,7 @@ class GroundFitter:
             plane = fit_ground(points, variance, p, coarse_m)
             rows = found[plane.support, 0].astype(np.int64)
             plane = dataclasses.replace(plane, support=np.zeros(0, np.int64))
-            return self._fitted(plane, dataclasses.replace(chosen_within(plane, 0.0), rows=rows))
+            return self._fitted(plane, dataclasses.replace(vertices_within(plane, 0.0), rows=rows))
         check_points(points, variance, p.degree)
         plane = search_surface(points, variance, p, coarse_m)
         fit = self.refine(plane, THRESHOLD_SIGMAS * plane.rms_m, None, p)
@@ -80,14 +80,14 @@ class GroundFitter:
         """The same question to every tile."""
         return [more] * len(self.of.index.count)
 
-    def _products(self, chosen: Chosen) -> tuple[int, F64, F64, bytes]:
+    def _products(self, chosen: VertexSelection) -> tuple[int, F64, F64, bytes]:
         """Sums over all tiles, and a digest of which vertices are chosen."""
         found = ask(self.workers, self.of, tile_fit.products, self._same(chosen))
         name = hashlib.sha256(b"".join(f[3] for f in found)).digest()
         square = np.sum([f[1] for f in found], axis=0)
         return sum(f[0] for f in found), square, np.sum([f[2] for f in found], axis=0), name
 
-    def _fitted(self, plane: Plane, chosen: Chosen) -> TiledFit:
+    def _fitted(self, plane: Plane, chosen: VertexSelection) -> TiledFit:
         """A plane with what it was fitted to."""
         count, square, _, _ = self._products(chosen)
         return TiledFit(plane, chosen, count, inverse_of(count, square, degree_of(plane)))
@@ -101,7 +101,7 @@ class GroundFitter:
         start = dataclasses.replace(start, support=np.zeros(0, np.int64))
         high = max(h for _, h in ask(self.workers, self.of, tile_fit.extent, self._same(ring)))
         floor = 1e-9 * (1.0 + high)
-        chosen = chosen_within(start, p.threshold_m or reach_m, ring)
+        chosen = vertices_within(start, p.threshold_m or reach_m, ring)
         found, seen = self._products(chosen), set[bytes]()
         for left in range(MAX_REFITS, -1, -1):
             count, square, right, name = found
@@ -111,7 +111,7 @@ class GroundFitter:
             plane = dataclasses.replace(start, beta=beta, rms_m=math.sqrt(squares[0] / count))
             lower = math.sqrt(squares[2] / squares[1]) if squares[1] else 0.0
             limit = p.threshold_m or max(THRESHOLD_SIGMAS * max(robust, lower), floor)
-            new = chosen_within(plane, limit, ring)
+            new = vertices_within(plane, limit, ring)
             found = self._products(new)
             if left == 0 or found[3] == name or found[3] in seen:
                 break
@@ -120,7 +120,7 @@ class GroundFitter:
         check_tilt(plane, p)
         return TiledFit(plane, chosen, count, N)
 
-    def _spread(self, chosen: Chosen, beta: F64, count: int) -> tuple[F64, float]:
+    def _spread(self, chosen: VertexSelection, beta: F64, count: int) -> tuple[F64, float]:
         """Sums as of :func:`tile_fit.spread`, and the robust sigma of the residuals, m: their
         median is found among those in its bins.
         """
@@ -135,7 +135,7 @@ class GroundFitter:
         median = float(np.mean(sizes[ranks - before]))
         return np.sum([s for s, _, _ in found], axis=0), MAD_TO_SIGMA * median
 
-    def at_ranks(self, chosen: Chosen, n: int, step: int) -> F64:
+    def at_ranks(self, chosen: VertexSelection, n: int, step: int) -> F64:
         """Row, x, y, z, points (k, 5) of every ``step``-th of n chosen vertices in the order of the
         file.
         """
@@ -159,7 +159,7 @@ class GroundFitter:
         """:func:`~ladar_volume.ground.robust_ground.check_surface`."""
         grown = fit
         if p.threshold_m > 0.0:
-            chosen = chosen_within(fit.plane, p.threshold_m)
+            chosen = vertices_within(fit.plane, p.threshold_m)
             asked = self._same(chosen, p.threshold_m)
             own, above, below = np.sum(ask(self.workers, self.of, tile_fit.layers, asked), axis=0)
             if own >= CONTRAST * max(above, below):
@@ -186,10 +186,10 @@ def rows_of_ranks(rows: I64, ranks: I64, block: I64, below: I64) -> I64:
     return np.asarray(rows[start[at] + ranks - before[block]])
 
 
-def chosen_within(plane: Plane, limit_m: float, ring: Path | None = None) -> Chosen:
+def vertices_within(plane: Plane, limit_m: float, ring: Path | None = None) -> VertexSelection:
     """The vertices within so much of a surface."""
     x, y = plane.origin_xy.tolist()
-    return Chosen((x, y), tuple(plane.beta.tolist()), limit_m, ring)
+    return VertexSelection((x, y), tuple(plane.beta.tolist()), limit_m, ring)
 
 
 def inverse_of(count: int, square: F64, degree: int) -> F64:

@@ -90,7 +90,7 @@ class OutlineFinder:
         words = [asked, plane.beta.tolist(), plane.origin_xy.tolist()]
         folder = surface_folder(self.fitter.of.index, self.fitter.of.limits) / digest(words)
         n = len(tiles)
-        rising = self._ask(tile_outline.rising, [(folder, plane, p.object_height_m)] * n)
+        rising = self._ask(tile_outline.rising_parts, [(folder, plane, p.object_height_m)] * n)
         chosen = self._bodies(rising)
         boxes = self._ask(tile_outline.body, [(folder, c) for c in chosen])
         beside = self._beside(boxes, p.outline_margin_m)
@@ -98,14 +98,14 @@ class OutlineFinder:
             (folder, c, some, p.outline_margin_m) for c, some in zip(chosen, beside, strict=True)
         ]
         rest = self._ask(tile_outline.grow, grown)
-        found = self._ask(tile_outline.fill, [(folder, holes) for holes in enclosed(rest)])
+        found = self._ask(tile_outline.fill, [(folder, holes) for holes in enclosed_parts(rest)])
         name = hashlib.sha256(b"".join(name for _, name in found)).hexdigest()
         return folder, name, [box for box, _ in found]
 
     def _bodies(self, rising: Sequence[TileParts]) -> list[Bool]:
         """Which parts (count,) of each tile belong to the bodies."""
         p = self.parameters.volume
-        label = joined(rising)
+        label = part_labels(rising)
         if not len(label):
             raise VolumeError(
                 f"nothing rises more than {p.object_height_m:g} m above the base",
@@ -136,10 +136,10 @@ class OutlineFinder:
         """The vertices around an outline, at rest."""
         ring_m = self.parameters.volume.ground_ring_m
         beside = self._beside(boxes, ring_m)
-        self._ask(tile_outline.ring, [(folder, some, ring_m) for some in beside])
+        self._ask(tile_outline.ring_vertices, [(folder, some, ring_m) for some in beside])
 
 
-def joined(parts: Sequence[TileParts]) -> I64:
+def part_labels(parts: Sequence[TileParts]) -> I64:
     """Numbers (k,) of the parts of all tiles, one after the other, the same for those that are
     joined: they have a triangle in common.
     """
@@ -156,9 +156,9 @@ def joined(parts: Sequence[TileParts]) -> I64:
     return np.asarray(sparse.csgraph.connected_components(links, directed=False)[1], np.int64)
 
 
-def enclosed(parts: Sequence[TileParts]) -> list[Bool]:
+def enclosed_parts(parts: Sequence[TileParts]) -> list[Bool]:
     """Which parts (count,) of each tile lead nowhere, with all that they are joined to."""
-    label = joined(parts)
+    label = part_labels(parts)
     leads = np.bincount(label, np.concatenate([each.total for each in parts]), minlength=1) > 0
     holes = ~leads[label] if len(label) else np.zeros(0, np.bool_)
     return np.split(holes, np.cumsum([each.count for each in parts])[:-1])

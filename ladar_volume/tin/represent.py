@@ -164,7 +164,7 @@ def represent(
     )
     found: SampledArea | None = None
     if by_area:
-        tin, found = sampled_only(tin, points, options)
+        tin, found = restrict_to_sampled_area(tin, points, options)
     if (
         math.isfinite(options.max_ear_edge_m)
         or options.min_island_m2 > 0.0
@@ -183,7 +183,9 @@ def represent(
     return made if found is None else dataclasses.replace(made, sampled_area=found)
 
 
-def sampled_only(tin: Tin, points: F64, options: SurfaceParameters) -> tuple[Tin, SampledArea]:
+def restrict_to_sampled_area(
+    tin: Tin, points: F64, options: SurfaceParameters
+) -> tuple[Tin, SampledArea]:
     """The surface with the triangles relevant that lie where the points sampled, and that area."""
     if options.full:
         tin, found = sampled_without_isolated(tin)

@@ -77,7 +77,7 @@ def cell_numbers(xy: F64, low: F64, size: float, width: int) -> I64:
     return out
 
 
-def filled_at(xy: F64, size: float) -> Bool:
+def in_filled_cells(xy: F64, size: float) -> Bool:
     """Whether each of places (n, 2) m lies in, or beside, a block of three by three cells of a
     raster that all hold one of them; cells of ``size``.
     """
@@ -110,7 +110,7 @@ def spacings(xy: F64) -> F64:
     while sizes[-1] * STEP <= LARGEST * float(extent.max()):
         sizes.append(sizes[-1] * STEP)
     # a long and narrow strip has no block of three cells at its width
-    filled = [filled_at(xy, size) for size in sizes]
+    filled = [in_filled_cells(xy, size) for size in sizes]
     for k in reversed(range(len(sizes))):
         out[filled[k]] = sizes[k]
     lasting = np.full(len(xy), np.inf)

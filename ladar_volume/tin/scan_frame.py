@@ -36,12 +36,12 @@ class Frame:
         out: F64 = (np.asarray(r_map, dtype=np.float64) - self.origin_map) @ self.R_frame_map.T
         return out
 
-    def points_back(self, r_frame: F64) -> F64:
+    def points_to_map(self, r_frame: F64) -> F64:
         """Points (n, 3) of this frame in the map, m."""
         out: F64 = np.asarray(r_frame, dtype=np.float64) @ self.R_frame_map + self.origin_map
         return out
 
-    def vectors_back(self, gradient: F64) -> F64:
+    def gradients_to_map(self, gradient: F64) -> F64:
         """Gradients (n, 3) by positions in this frame, turned into the map."""
         out: F64 = np.asarray(gradient, dtype=np.float64) @ self.R_frame_map
         return out
@@ -65,11 +65,11 @@ class Frame:
             [float(c0 - upright @ self.origin_map), -a[0], -a[1]], dtype=np.float64
         ) / float(a[2])
 
-    def tin_back(self, tin: Tin) -> Tin:
+    def tin_to_map(self, tin: Tin) -> Tin:
         """A TIN built in this frame with its vertices in the map: a mesh for export, no TIN over
         the map's plane.
         """
-        return dataclasses.replace(tin, vertices=self.points_back(tin.vertices))
+        return dataclasses.replace(tin, vertices=self.points_to_map(tin.vertices))
 
 
 def frame_along(direction: F64, origin_map: F64 | None = None) -> Frame:

@@ -141,7 +141,7 @@ def add_mean(count: int, work: F64, out: F64) -> None:
 
 
 @leaf_kernel
-def add_far(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
+def add_far_mean(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
     """Adds the mean and its slopes at a place with coordinates (1 − p − q, p, q) to ``out`` (10,)
     where zero is too far for the noise to matter; exact for the mean over a part of the triangle
     about its centre.
@@ -170,7 +170,7 @@ def by_quadrature(
             for flip in range(2 if j < parts - i - 1 else 1):
                 p, q = (i + (1.0 + flip) / 3.0) * size, (j + (1.0 + flip) / 3.0) * size
                 if abs((1.0 - p - q) * mu[0] + p * mu[1] + q * mu[2]) > far:
-                    add_far(mu, p, q, size * size, out)
+                    add_far_mean(mu, p, q, size * size, out)
                     continue
                 for k in range(len(nodes)):
                     u, v = (

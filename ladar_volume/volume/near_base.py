@@ -34,7 +34,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import PACKED, folded_means, positive_parts
-from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64, part_about
+from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64, part_around
 from ladar_volume.volume.prismoids import gather, positive_part
 from ladar_volume.volume.remaining_fold import RemainingFold, remaining_fold, scatter_factor
 
@@ -189,7 +189,7 @@ def near_base(
     t = tin.triangles[tin.relevant if mask is None else mask]
     h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
     near, joint, wider = _near_and_covariance(tin, h, t, C, selected)
-    part, close_area = part_about(tin, t[near], rings), area[near]
+    part, close_area = part_around(tin, t[near], rings), area[near]
     own, close = part.vertex, part.close
     C_own, sums = _covariance_of(joint, own, summed)
     smooth = smooth_heights(part.tin, h[own], C_own.diagonal(), close, rings, sums)

@@ -106,7 +106,7 @@ def grow_kernel(triangles: I32, marked: Bool, rings: int) -> None:
                 marked[a] = marked[b] = marked[c] = True
 
 
-def part_about(tin: Tin, close: I32, rings: int) -> Part:
+def part_around(tin: Tin, close: I32, rings: int) -> Part:
     """The part of a surface in which the neighbourhoods of the triangles (c, 3) lie, so that the
     work near the base does not grow with the rest of the surface.
     """

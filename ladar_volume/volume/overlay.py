@@ -21,7 +21,7 @@ from ladar_volume.volume.prismoids import CutFill
 
 
 @dataclass(frozen=True)
-class Between(CutFill):
+class VolumesBetween(CutFill):
     """Volumes between an upper and a lower surface, over their common footprint, which is held
     fixed too.
 
@@ -114,7 +114,7 @@ def vertex_gradients(
     return out
 
 
-def between(upper: Tin, lower: Tin, gradients: bool = True) -> Between:
+def volumes_between(upper: Tin, lower: Tin, gradients: bool = True) -> VolumesBetween:
     """Cut and fill of ``upper`` against ``lower`` over the intersection of their footprints
     (relevant triangles, counter-clockwise).
 
@@ -144,4 +144,4 @@ def between(upper: Tin, lower: Tin, gradients: bool = True) -> Between:
         up = vertex_gradients(len(upper.vertices), upper.triangles, one.order, high, parts, 1.0)
         down = vertex_gradients(len(lower.vertices), lower.triangles, two.order, low, back, -1.0)
         g = [up[0], up[1], down[0], down[1]]
-    return Between(float(cut), float(fill), area, *g)
+    return VolumesBetween(float(cut), float(fill), area, *g)

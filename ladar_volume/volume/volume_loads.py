@@ -138,7 +138,7 @@ def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:
     return out
 
 
-def shared_by(sources: Sources, points: I64) -> Callable[[I64], tuple[I64, F64]]:
+def shared_covariance_of(sources: Sources, points: I64) -> Callable[[I64], tuple[I64, F64]]:
     """For k among points (n,), by their place there, :meth:`Sources.shared_covariance`: their order
     in time, and the covariance.
     """
@@ -166,7 +166,7 @@ def ground_field(
     if len(base.support) == 0:
         return None
     ground, residual, fit = ground_residuals(tin.vertices, base, base_net, inverse)
-    shared = None if sources is None else shared_by(sources, tin.source[base.support])
+    shared = None if sources is None else shared_covariance_of(sources, tin.source[base.support])
     rough = estimate_roughness(
         ground, residual, height_variance[base.support], len(base.beta), shared
     )

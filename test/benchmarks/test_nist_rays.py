@@ -8,7 +8,7 @@ from nist_rays import Surface, cut_difference, fill_difference
 
 from ladar_volume.experiments.nist import nist_experiments as e
 from ladar_volume.experiments.nist.nist_scene import pair
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 
 #: Coordinates are not rounded here: on a lattice of millimetres many points are co-circular, and
 #: two valid triangulations differ.
@@ -26,7 +26,7 @@ def test_experiment_three_against_rays(rms):
     seed = 1
     a, b = pair(1, seed, 0.02, 0.0)
     points = a.points[e.subsets(a, seed, 0)[0]], b.points[e.subsets(b, seed, 1)[0]]
-    own = e.method_two(*e.both(points, (3000, 3000))[rms])
+    own = e.method_two(*e.surface_pairs(points, (3000, 3000))[rms])
     rays, error = cut_difference(
         [vertices_of(p, 3000) for p in points],
         points,
@@ -46,7 +46,7 @@ def test_experiment_four_against_rays(rms):
         frame.points(a.points[e.subsets(a, 2, 0)[0]]),
         frame.points(b.points[e.subsets(b, 2, 1)[0]]),
     )
-    own = e.compare_methods(e.both(points, (3000, 3000))[rms])
+    own = e.compare_methods(e.surface_pairs(points, (3000, 3000))[rms])
     vertices, rng = [vertices_of(p, 3000) for p in points], np.random.default_rng(5)
     for pairs, difference in ((own.one, fill_difference), (own.two, cut_difference)):
         rays, error = difference(vertices, points, pairs.level_with_m[-1], rms, STEP_M, rng)
@@ -57,7 +57,7 @@ def test_the_common_footprint_against_rays():
     a, b = pair(4, 1, 0.02, 0.0)
     frame = e.scan_frame(b)
     turned = [frame.points(s.points) for s in (a, b)]
-    r = between(*(e.adaptive(p, len(p)).tin for p in turned), gradients=False)
+    r = volumes_between(*(e.adaptive(p, len(p)).tin for p in turned), gradients=False)
     surfaces = [Surface(p, p, False) for p in turned]
     rng = np.random.default_rng(0)
     d = [

@@ -19,7 +19,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.registration.transform import Transform
 from ladar_volume.uncertainty.epoch_budget import cross_covariance, epoch_budget, shared_columns
 from ladar_volume.uncertainty.propagation import calibration_groups
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 
 
 def test_volume_of_a_pit_and_its_significance():
@@ -125,7 +125,7 @@ def test_sigma_of_the_difference_against_sampling():
             )  # as the store keeps them
             move = (shift[:, None] * u.points.normal)[order][e.tin.source]
             surfaces.append(dataclasses.replace(e.tin, vertices=e.tin.vertices + move))
-        net.append(between(*surfaces, gradients=False).net_m3)
+        net.append(volumes_between(*surfaces, gradients=False).net_m3)
     assert np.mean(net) == pytest.approx(d.volume.volume_m3, abs=4.0 * predicted / math.sqrt(300))
     assert np.std(net) == pytest.approx(
         predicted, rel=0.13

@@ -139,7 +139,7 @@ def test_what_is_left_without_each_plane(seed):
         ]
         assert out == pytest.approx(expected, rel=1e-12)
     for n in (0, 1, 7, 8, 203):
-        total = plane_set_selection.sum_of_less(square[:n, 0].copy(), square[:n, 1].copy(), n)
+        total = plane_set_selection.sum_of_minima(square[:n, 0].copy(), square[:n, 1].copy(), n)
         assert total == pytest.approx(np.minimum(square[:n, 0], square[:n, 1]).sum(), rel=1e-12)
 
 

@@ -26,8 +26,8 @@ from ladar_volume.clouds.body_volume import body_of
 from ladar_volume.clouds.body_walls import (
     cut_off_m2,
     foot_doubts,
-    seen_under,
     shape_lines,
+    share_of_ground_under,
     thin_share,
 )
 from ladar_volume.clouds.cloud_bodies import CloudBodies, cloud_bodies
@@ -169,7 +169,10 @@ def test_circles_and_tangents():
 
 def test_ground_seen_under_a_body_is_doubted():
     (body, under), (_, beside) = lifted_ball(0.0, True), lifted_ball(0.0, False)
-    assert seen_under(body, under, 0.05) > 0.1 and seen_under(body, beside, 0.05) == 0.0
+    assert (
+        share_of_ground_under(body, under, 0.05) > 0.1
+        and share_of_ground_under(body, beside, 0.05) == 0.0
+    )
     ground = design_surface([0.0])
     object.__setattr__(ground, "support", np.arange(len(under)))
     mesh = type("Mesh", (), {"report": {"spacing_m": 0.05}})()

@@ -27,7 +27,6 @@ from ladar_volume.experiments.coverage.coverage_cases import (
     LEVEL,
     SITES,
     VARIANTS,
-    alone,
     at_vertex_level,
     believed_parameters,
     by_source,
@@ -35,6 +34,7 @@ from ladar_volume.experiments.coverage.coverage_cases import (
     net_volumes,
     scale_budget,
     truth,
+    volume_changes_by_source,
 )
 from ladar_volume.experiments.coverage.coverage_engine import measure_by_engine
 from ladar_volume.experiments.coverage.coverage_flight import (
@@ -47,11 +47,11 @@ from ladar_volume.experiments.coverage.coverage_scene import FIELDS, level_truth
 from ladar_volume.experiments.coverage.coverage_survey import (
     SOURCES,
     SurveyErrors,
+    budget_of_lines,
     fly,
     nominal,
     platform_states,
     survey,
-    without,
 )
 from ladar_volume.experiments.coverage.coverage_tables import tables
 from ladar_volume.georeference.error_budget import attitude_covariance_from_euler
@@ -104,13 +104,15 @@ def test_pulses_left_out_would_not_have_hit(monkeypatch):
         clear()
         few, near = (
             len(pulses_of(site, 3)[0].time_s),
-            fly(site, without(DEFAULT), DEFAULT, 3).points.r_map,
+            fly(site, budget_of_lines(DEFAULT), DEFAULT, 3).points.r_map,
         )
         clear()
         with monkeypatch.context() as patched:
             patched.setattr(coverage_flight, "NEAR_M", 1e6)
             assert few < 0.95 * len(pulses_of(site, 3)[0].time_s)
-            assert np.array_equal(near, fly(site, without(DEFAULT), DEFAULT, 3).points.r_map)
+            assert np.array_equal(
+                near, fly(site, budget_of_lines(DEFAULT), DEFAULT, 3).points.r_map
+            )
         clear()
 
 
@@ -205,7 +207,7 @@ def test_rays_end_on_the_box():
 
 def test_the_gradient_of_a_closed_box_is_that_of_its_volume():
     site = dataclasses.replace(BOX, pulses=60_000)
-    points = survey(site, without(DEFAULT), Parameters(), 3).update.points
+    points = survey(site, budget_of_lines(DEFAULT), Parameters(), 3).update.points
     body, gradient, _ = body_on_ground(points)
     assert body.volume_m3 == pytest.approx(site.volume_m3, rel=0.003)
     assert (
@@ -231,7 +233,7 @@ def test_a_closed_box_with_all_sources():
 
 
 def test_without_errors_a_survey_finds_the_volume():
-    for base, volume in net_volumes(SITES["stockpile_100"], without(DEFAULT), 7).items():
+    for base, volume in net_volumes(SITES["stockpile_100"], budget_of_lines(DEFAULT), 7).items():
         site = SITES["stockpile_100"]
         exact = (
             site.volume_m3
@@ -243,7 +245,7 @@ def test_without_errors_a_survey_finds_the_volume():
 
 def test_without_errors_points_lie_on_the_surface():
     site = dataclasses.replace(SMALL, rough_m=0.0)
-    r = survey(site, without(DEFAULT), Parameters(), 3).update.points.r_map
+    r = survey(site, budget_of_lines(DEFAULT), Parameters(), 3).update.points.r_map
     assert (
         np.abs(r[:, 2] - site.smooth(r[:, :2])).max() < 1e-3
     )  # the sinusoids are there, with an amplitude of zero
@@ -251,10 +253,10 @@ def test_without_errors_points_lie_on_the_surface():
 
 
 def test_budgets_of_the_variants():
-    assert without(DEFAULT, *SOURCES) == DEFAULT
+    assert budget_of_lines(DEFAULT, *SOURCES) == DEFAULT
     assert (
-        without(DEFAULT).position_sigma_m == (0.0, 0.0, 0.0)
-        and without(DEFAULT, "clock").clock_sigma_s == DEFAULT.clock_sigma_s
+        budget_of_lines(DEFAULT).position_sigma_m == (0.0, 0.0, 0.0)
+        and budget_of_lines(DEFAULT, "clock").clock_sigma_s == DEFAULT.clock_sigma_s
     )
     larger = scale_budget(DEFAULT, sigmas=1.3, tau=3.0)
     assert larger.boresight_sigma_rad == pytest.approx(
@@ -290,7 +292,7 @@ def test_one_instrument_flies_twice():
 def test_a_common_height_bias_needs_a_design_level_to_matter():
     site = dataclasses.replace(SMALL, pulses=4000)
     P = at_vertex_level(DEFAULT)
-    one = survey(site, without(DEFAULT), P, 5)
+    one = survey(site, budget_of_lines(DEFAULT), P, 5)
     volumes = {}
     for lift in (0.0, 0.05):
         r = one.update.points.r_map + np.array([0.0, 0.0, lift])
@@ -328,7 +330,7 @@ def test_the_volume_alone_is_that_with_a_budget(site):
 
 
 def test_each_source_alone():
-    found = alone(PIT, 4)["two epochs"]
+    found = volume_changes_by_source(PIT, 4)["two epochs"]
     assert set(found) == set(SOURCES)
     printed = measure_survey(PIT, *VARIANTS["all"], 4)["two epochs"].budget_m6
     for line, changed in found.items():
@@ -409,18 +411,20 @@ def test_the_line_of_a_source_is_what_it_does_over_either_ground():
 def test_normals_go_where_the_points_go():
     site = dataclasses.replace(SMALL, rough_m=0.0)
     shift = dataclasses.replace(
-        without(DEFAULT),
+        budget_of_lines(DEFAULT),
         position_sigma_m=(0.4, 0.4, 0.4),
         position_bias_fraction=1.0,
         position_white_fraction=0.0,
     )
-    moved, still = (net_volumes(site, budget, 7)[GROUND] for budget in (shift, without(DEFAULT)))
+    moved, still = (
+        net_volumes(site, budget, 7)[GROUND] for budget in (shift, budget_of_lines(DEFAULT))
+    )
     assert moved == pytest.approx(still, rel=1e-6)  # a survey that is shifted as one
 
 
 def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        coverage, "do", lambda t: {**dataclasses.asdict(t), **coverage.made_by(), "result": {}}
+        coverage, "do", lambda t: {**dataclasses.asdict(t), **coverage.provenance(), "result": {}}
     )
     todo, path, told = coverage.tasks(["pit"], (3, 2, 1)), tmp_path / "s.jsonl", []
     assert len(todo) == 3 + 2 + (len(VARIANTS) - 1)

@@ -36,7 +36,7 @@ from ladar_volume.model.errors import SimulationError
 from ladar_volume.tin.diagonal_exchange import exchange_diagonals
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.scan_frame import frame_along
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 
 
 def march(ray, with_box, step=2e-4):
@@ -155,7 +155,7 @@ def test_without_noise_the_own_way_finds_the_box_and_its_sigma_is_that_of_the_no
         for s, tin in zip((a, b), tins, strict=True):
             noisy = s.points + 0.002 * rng.standard_normal((len(s.points), 1)) * s.ray
             moved.append(dataclasses.replace(tin, vertices=frame.points(noisy)[tin.source]))
-        volumes.append(between(*moved, gradients=False).net_m3)
+        volumes.append(volumes_between(*moved, gradients=False).net_m3)
     assert np.std(volumes, ddof=1) * 10.0 == pytest.approx(
         clean.sigma_m3, rel=4.0 / np.sqrt(2 * 59)
     )
@@ -175,7 +175,7 @@ def test_volumes_over_two_footprints_follow_their_difference():
     frame = nist_experiments.scan_frame(b)
     assert frame_along(np.array([0, 0, -1.0])).R_frame_map[2] == pytest.approx([0, 0, 1])
     turned = frame.points(a.points), frame.points(b.points)
-    d = nist_experiments.compare_methods(nist_experiments.both(turned, (1200, 1200))[0])
+    d = nist_experiments.compare_methods(nist_experiments.surface_pairs(turned, (1200, 1200))[0])
     difference = d.two.areas_m2[0] - d.two.areas_m2[1]
     assert d.two.slope_m2 == pytest.approx(-difference, rel=1e-6)
     assert len(d.one.volume_m3) == len(d.two.volume_m3) == nist_experiments.LEVELS

@@ -24,7 +24,7 @@ from ladar_volume.experiments.stockpile import (
     SOURCES,
     Cone,
     ToleranceRule,
-    alone,
+    budget_of_source,
     point_sigmas,
     position_sigmas,
     summary,
@@ -53,7 +53,7 @@ def test_position_added_and_in_quadrature():
 @pytest.mark.parametrize("beam", [ALONG, ACROSS])
 def test_sources_add_up_and_follow_plane_geometry(beam):
     budget, r = PRESETS["survey"], 150.0
-    each = {s: point_sigmas(alone(budget, s), beam, r) for s in SOURCES}
+    each = {s: point_sigmas(budget_of_source(budget, s), beam, r) for s in SOURCES}
     assert sum(v**2 for v in each.values()) == pytest.approx(
         point_sigmas(budget, beam, r) ** 2, rel=1e-12
     )

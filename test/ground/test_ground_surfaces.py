@@ -148,7 +148,7 @@ def test_a_tilted_up_direction_by_a_frame():
     up = np.array([0.6, -0.2, 0.5])
     frame = frame_along(-up)
     upright = scattered()
-    turned = frame.points_back(upright)
+    turned = frame.points_to_map(upright)
     with pytest.raises(GroundError) as caught:
         fit_ground(turned, variance(turned), GroundParameters())
     assert caught.value.reason in ("ground_tilt", "ground_no_consensus")

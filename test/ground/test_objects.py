@@ -17,7 +17,7 @@ from ladar_volume.ground.clusters import (
     join_cells,
     root_of,
 )
-from ladar_volume.ground.objects import find_objects, objects_at, objects_in
+from ladar_volume.ground.objects import find_objects, objects_at_places, objects_in_regions
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.model.body_parameters import ObjectParameters
@@ -196,8 +196,8 @@ def test_touching_bodies_by_saddle_by_picks_and_by_polygons():
     assert len(find_objects(p, LEVEL, P).records) == 1
     results = [
         find_objects(p, LEVEL, dataclasses.replace(P, split_m=0.5)),
-        objects_at(p, LEVEL, [np.array([-1.5, 0, 2.0]), np.array([[1.6, 0, 2.0]])], P),
-        objects_in(
+        objects_at_places(p, LEVEL, [np.array([-1.5, 0, 2.0]), np.array([[1.6, 0, 2.0]])], P),
+        objects_in_regions(
             p,
             LEVEL,
             [
@@ -223,13 +223,13 @@ def test_two_blocks_that_share_a_face_by_picks():
         np.array([[-0.5, 0.5, 1.0], [-0.25, 0.5, 0.5]]),
         np.array([[0.5, 0.5, 1.0], [0.25, 0.5, 0.5], [1.4, 0.5, 1]]),
     ]
-    found = objects_at(p, LEVEL, picks, P)
+    found = objects_at_places(p, LEVEL, picks, P)
     assert [r.footprint_m2 for r in found.records] == pytest.approx([1.0, 1.5], abs=0.11)
 
 
 def test_picks_take_the_pieces_of_one_body():
     p = scene()
-    found = objects_at(
+    found = objects_at_places(
         p, LEVEL, [np.array([[-2.5, -2.5, 1.0], [-2.8, 2.2, 0.5]]), np.array([1.5, 1.5, 0.6])], P
     )
     assert len(found.records) == 2 and found.records[0].low_m[:2] == pytest.approx([-3, -3])
@@ -271,14 +271,17 @@ def test_a_row_of_points_has_a_footprint_without_area():
         (lambda p: in_box(p, [0, 0, 0], [1, 0, 1]), "object_box"),
         (lambda p: in_box(p, [0, 0, 0], [1, 1, 1], 2 * np.eye(3)), "object_box"),
         (
-            lambda p: objects_in(p, LEVEL, [in_polygon(p, [(4, 4), (5, 4), (5, 5)])], P),
+            lambda p: objects_in_regions(p, LEVEL, [in_polygon(p, [(4, 4), (5, 4), (5, 5)])], P),
             "object_empty",
         ),
-        (lambda p: objects_at(p, LEVEL, [], P), "object_pick"),
-        (lambda p: objects_at(p, LEVEL, [np.zeros((0, 3))], P), "object_pick"),
-        (lambda p: objects_at(p, LEVEL, [np.array([0.0, -4.0, 0.0])], P), "object_pick"),
-        (lambda p: objects_at(p, LEVEL, [np.array([-2.5, -2.5, 1.0])] * 2, P), "object_pick"),
-        (lambda p: objects_at(floor(), LEVEL, [np.zeros(3)], P), "object_empty"),
+        (lambda p: objects_at_places(p, LEVEL, [], P), "object_pick"),
+        (lambda p: objects_at_places(p, LEVEL, [np.zeros((0, 3))], P), "object_pick"),
+        (lambda p: objects_at_places(p, LEVEL, [np.array([0.0, -4.0, 0.0])], P), "object_pick"),
+        (
+            lambda p: objects_at_places(p, LEVEL, [np.array([-2.5, -2.5, 1.0])] * 2, P),
+            "object_pick",
+        ),
+        (lambda p: objects_at_places(floor(), LEVEL, [np.zeros(3)], P), "object_empty"),
     ],
 )
 def test_refusals(call, reason):

@@ -7,7 +7,7 @@ from dataclasses import fields
 from own_process import result_of
 
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.nodes.declared_parameters import why_never
+from ladar_volume.nodes.declared_parameters import launch_refusal
 
 SCRIPT = """
 import json, sys, time
@@ -69,7 +69,7 @@ def test_every_parameter_that_names_a_file_a_device_or_an_address_is_fixed_at_la
         if field.type == "str" and field.name.split("_")[-1] in kinds
     ]
     assert len(names) >= 4
-    assert [name for name in names if why_never(name) is None] == []
+    assert [name for name in names if launch_refusal(name) is None] == []
 
 
 def test_a_stranger_sets_no_path_and_a_failed_configure_activates_nothing(tmp_path):

@@ -9,8 +9,8 @@ from ladar_volume.model.errors import ConfigurationError, InputError
 from ladar_volume.rmls.tile_filter import HALO
 from ladar_volume.rmls.voxel_store import Candidates, pack_key, unpack_key
 from ladar_volume.tiles.return_store import (
-    dealt_out,
     read_returns,
+    tiles_of_rows,
     voxels_of_side,
     within_tile,
     write_returns,
@@ -48,7 +48,7 @@ def test_a_tile_gets_the_rows_of_its_voxels_and_of_its_halo_once_each(tmp_path):
 
 def test_every_row_is_in_the_tile_of_its_voxel(tmp_path):
     keys = candidates(2000, 2).key
-    rows, tiles = dealt_out(keys, SIDE)
+    rows, tiles = tiles_of_rows(keys, SIDE)
     home = unpack_key(keys)[:, :2] // SIDE
     own = (tiles == home[rows]).all(axis=1)
     assert np.array_equal(np.sort(rows[own]), np.arange(len(keys)))

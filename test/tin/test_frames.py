@@ -45,10 +45,10 @@ def test_frames_are_rotations_that_look_back(d):
         0, 2
     ] == pytest.approx(0.0, abs=1e-8)
     points = np.random.default_rng(0).normal(size=(20, 3))
-    assert f.points_back(f.points(points)) == pytest.approx(points, abs=1e-13)
+    assert f.points_to_map(f.points(points)) == pytest.approx(points, abs=1e-13)
     assert f.points(np.array([[10.0, 20, 30]])) == pytest.approx(np.zeros((1, 3)), abs=1e-14)
     g = np.random.default_rng(1).normal(size=(5, 3))
-    assert (f.vectors_back(g) * points[:5]).sum() == pytest.approx(
+    assert (f.gradients_to_map(g) * points[:5]).sum() == pytest.approx(
         (g * (points[:5] @ R.T)).sum(), rel=1e-12
     )
     C = np.array([np.diag([1.0, 2, 3])])
@@ -69,7 +69,7 @@ def test_a_wall_gets_a_footprint():
     assert footprint_areas(tin.vertices, tin.triangles).sum() == pytest.approx(
         2.0
     ) and tin.vertices[:, 2] == pytest.approx(np.zeros(45), abs=1e-15)
-    assert f.tin_back(tin).vertices == pytest.approx(wall, abs=1e-15)
+    assert f.tin_to_map(tin).vertices == pytest.approx(wall, abs=1e-15)
 
 
 def test_mean_direction_and_the_one_found_without_the_scanner():

@@ -22,7 +22,7 @@ from ladar_volume.volume.cutfill import (
     sequence_kernel,
     triangle_heights,
 )
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.prismoids import prismoids
 
 ROOF = {
@@ -56,12 +56,12 @@ def test_the_roof_in_one_pass():
     level = prismoids(roof(), design_surface([1.0]))
     assert (level.cut_m3, level.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
     lower = build_tin(np.array([[-1, -1, 1], [9, -1, 1], [9, 9, 1], [-1, 9, 1.0]]))
-    p = between(roof(), lower)
+    p = volumes_between(roof(), lower)
     assert (p.cut_m3, p.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
     one = np.array([True, False, False, False])
-    assert between(dataclasses.replace(roof(), relevant=one), lower).net_m3 == pytest.approx(
-        prismoids(roof(), design_surface([1.0]), one).net_m3, abs=1e-12
-    )
+    assert volumes_between(
+        dataclasses.replace(roof(), relevant=one), lower
+    ).net_m3 == pytest.approx(prismoids(roof(), design_surface([1.0]), one).net_m3, abs=1e-12)
 
 
 @pytest.mark.parametrize("steps", [False, True])

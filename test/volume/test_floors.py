@@ -24,7 +24,7 @@ from ladar_volume.volume.floors import (
     spikes,
     surface_offset,
 )
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.published_methods import (
     front_level,
     level_pairs,
@@ -219,7 +219,7 @@ def test_offset_of_shifted_surfaces():
 def test_both_methods_and_the_overlay_find_a_known_body_in_any_frame():
     body = box(floor=0.0, top=0.9)
     bare = dataclasses.replace(body, vertices=body.vertices * [1, 1, 0])
-    true = between(body, bare).net_m3
+    true = volumes_between(body, bare).net_m3
     assert true == pytest.approx(0.9 * 4.0, rel=2e-3)
     rng = np.random.default_rng(0)
     tilt = frame_along(np.array([0.2, 0.1, -1.0]))

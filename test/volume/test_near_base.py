@@ -20,7 +20,7 @@ from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import (
     NODES,
     PACKED,
-    add_far,
+    add_far_mean,
     add_mean,
     add_means,
     by_line,
@@ -354,7 +354,7 @@ def test_far_places_count_as_they_are():
     mu = np.array([0.9, 0.4, -0.2])
     for p, q, above in ((0.2, 0.3, 1.0), (0.05, 0.9, 0.0)):
         out, w = np.zeros(10), np.array([1 - p - q, p, q])
-        add_far(mu, p, q, 0.5, out)
+        add_far_mean(mu, p, q, 0.5, out)
         assert out == pytest.approx(0.5 * above * np.r_[mu @ w, w, np.zeros(6)], rel=1e-14)
 
 

@@ -21,11 +21,11 @@ from ladar_volume.model.records import Tin
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import CHUNKS, triangle_index
 from ladar_volume.volume.overlay import (
-    between,
     integrals,
     placed_corners,
     placed_neighbours,
     vertex_gradients,
+    volumes_between,
 )
 from ladar_volume.volume.overlay_kernel import WAITING, overlay_kernel, walk
 from ladar_volume.volume.prismoids import positive_part, prismoids
@@ -141,7 +141,7 @@ def exact(upper, lower):
 def test_random_surfaces_against_rational_clipping(seed):
     a, b = random_tin(12, seed), random_tin(9, seed + 50, half=2.5)
     a = dataclasses.replace(a, relevant=np.random.default_rng(seed).random(len(a.triangles)) < 0.8)
-    r = between(a, b)
+    r = volumes_between(a, b)
     assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(exact(a, b), rel=1e-12, abs=1e-13)
 
 
@@ -157,9 +157,9 @@ def test_random_surfaces_against_rational_clipping(seed):
     ],
 )
 def test_the_roof_above_a_flat_surface(z, cut, fill):
-    r = between(roof(), flat(z, half=7.0))
+    r = volumes_between(roof(), flat(z, half=7.0))
     assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((cut, fill, 12.0), abs=1e-12)
-    back = between(flat(z, half=7.0), roof())
+    back = volumes_between(flat(z, half=7.0), roof())
     assert (back.cut_m3, back.fill_m3) == pytest.approx((fill, cut), abs=1e-12)
 
 
@@ -171,7 +171,7 @@ def test_a_flat_or_tilted_lower_surface_gives_the_prismoids():
         vertices=low.vertices
         + np.c_[np.zeros((4, 2)), 0.3 + 0.2 * low.vertices[:, 0] - 0.1 * low.vertices[:, 1]],
     )
-    r, p = between(a, low), prismoids(a, design_surface([0.3, 0.2, -0.1]))
+    r, p = volumes_between(a, low), prismoids(a, design_surface([0.3, 0.2, -0.1]))
     assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(
         (p.cut_m3, p.fill_m3, p.area_m2), rel=1e-12
     )
@@ -181,7 +181,7 @@ def test_a_flat_or_tilted_lower_surface_gives_the_prismoids():
 
 def test_swapping_adding_and_shifting():
     a, b = random_tin(seed=4), random_tin(seed=5, half=2.0)
-    r, back = between(a, b), between(b, a)
+    r, back = volumes_between(a, b), volumes_between(b, a)
     assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(
         (back.fill_m3, back.cut_m3, back.area_m2), rel=1e-12
     )
@@ -189,39 +189,41 @@ def test_swapping_adding_and_shifting():
         back.lower_fill, abs=1e-12
     ) and r.lower_cut == pytest.approx(back.gradient_fill, abs=1e-12)
     part = np.random.default_rng(0).random(len(a.triangles)) < 0.4
-    halves = [between(dataclasses.replace(a, relevant=m), b) for m in (part, ~part)]
+    halves = [volumes_between(dataclasses.replace(a, relevant=m), b) for m in (part, ~part)]
     for name in ("cut_m3", "fill_m3", "area_m2"):
         assert sum(getattr(h, name) for h in halves) == pytest.approx(getattr(r, name), rel=1e-12)
-    up = between(dataclasses.replace(a, vertices=a.vertices + np.array([0, 0, 0.25])), b)
+    up = volumes_between(dataclasses.replace(a, vertices=a.vertices + np.array([0, 0, 0.25])), b)
     assert up.net_m3 - r.net_m3 == pytest.approx(
         0.25 * r.area_m2, rel=1e-12
     ) and r.area_m2 == pytest.approx(16.0, rel=1e-12)
     c = random_tin(seed=6, half=2.0)
-    assert between(a, c).net_m3 + between(c, b).net_m3 == pytest.approx(r.net_m3, rel=1e-11)
+    assert volumes_between(a, c).net_m3 + volumes_between(c, b).net_m3 == pytest.approx(
+        r.net_m3, rel=1e-11
+    )
 
 
 def test_turning_shifting_and_scaling():
     a, b = random_tin(seed=7), random_tin(seed=8, half=2.0)
-    r = between(a, b)
+    r = volumes_between(a, b)
     c, s = math.cos(0.7), math.sin(0.7)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     moved = [dataclasses.replace(t, vertices=t.vertices @ R.T + [500.0, -300, 20]) for t in (a, b)]
-    m = between(*moved)
+    m = volumes_between(*moved)
     assert (m.cut_m3, m.fill_m3, m.area_m2) == pytest.approx(
         (r.cut_m3, r.fill_m3, r.area_m2), rel=1e-10
     )
     assert m.gradient_cut == pytest.approx(r.gradient_cut @ R.T, abs=1e-9)
-    far = between(
+    far = volumes_between(
         *(dataclasses.replace(t, vertices=t.vertices + np.array([5e5, 5e6, 0])) for t in (a, b))
     )
     assert far.net_m3 == pytest.approx(r.net_m3, abs=1e-6)
-    scaled = between(*(dataclasses.replace(t, vertices=3.0 * t.vertices) for t in (a, b)))
+    scaled = volumes_between(*(dataclasses.replace(t, vertices=3.0 * t.vertices) for t in (a, b)))
     assert scaled.cut_m3 == pytest.approx(27 * r.cut_m3, rel=1e-12)
 
 
 def test_gradients_against_central_differences():
     a, b = random_tin(14, seed=9, half=3.0), random_tin(12, seed=10, half=2.0)
-    r, h = between(a, b), 1e-6
+    r, h = volumes_between(a, b), 1e-6
     for which, cut, fill in ((0, r.gradient_cut, r.gradient_fill), (1, r.lower_cut, r.lower_fill)):
         tin = (a, b)[which]
         hull = (
@@ -236,7 +238,7 @@ def test_gradients_against_central_differences():
                 step = np.zeros_like(tin.vertices)
                 step[i, axis] = h
                 up, down = (
-                    between(
+                    volumes_between(
                         *[
                             dataclasses.replace(t, vertices=t.vertices + e * step)
                             if t is tin
@@ -255,7 +257,7 @@ def test_gradients_against_central_differences():
 
 def test_the_same_surface_twice_and_a_lattice_on_a_lattice():
     a = random_tin(seed=11)
-    r = between(a, a)
+    r = volumes_between(a, a)
     assert (
         r.cut_m3 == pytest.approx(0, abs=1e-13)
         and r.fill_m3 == pytest.approx(0, abs=1e-13)
@@ -263,8 +265,8 @@ def test_the_same_surface_twice_and_a_lattice_on_a_lattice():
     )
     x, y = (g.ravel().astype(float) for g in np.meshgrid(np.arange(6), np.arange(6)))
     one, two = build_tin(np.c_[x, y, x * y]), build_tin(np.c_[y, x, x * y - 1.0])
-    assert between(one, two).area_m2 == pytest.approx(25.0, rel=1e-14)
-    level = between(flat(2.0), flat(2.0))
+    assert volumes_between(one, two).area_m2 == pytest.approx(25.0, rel=1e-14)
+    level = volumes_between(flat(2.0), flat(2.0))
     assert level.cut_m3 == level.fill_m3 == 0.0 and level.net_m3 == 0.0
     assert level.gradient_net[:, 2].sum() == pytest.approx(36.0) and level.lower_net[
         :, 2
@@ -275,14 +277,16 @@ def test_touching_vertices_edges_and_empty_overlap():
     a = flat(1.0, 1.0)
     for shift in ([2.0, 0, 0], [2.0, 2.0, 0], [50.0, 0, 0]):
         with pytest.raises(VolumeError) as caught:
-            between(a, dataclasses.replace(a, vertices=a.vertices + shift))
+            volumes_between(a, dataclasses.replace(a, vertices=a.vertices + shift))
         assert caught.value.reason == "volume_no_common_footprint"
     none = dataclasses.replace(a, relevant=np.zeros(2, bool))
     for pair in ((a, none), (none, a)):
         with pytest.raises(VolumeError) as caught:
-            between(*pair)
+            volumes_between(*pair)
         assert caught.value.reason == "volume_no_triangle"
-    corner = between(a, dataclasses.replace(a, vertices=a.vertices + np.array([1.0, 1.0, -0.5])))
+    corner = volumes_between(
+        a, dataclasses.replace(a, vertices=a.vertices + np.array([1.0, 1.0, -0.5]))
+    )
     assert (corner.area_m2, corner.net_m3) == pytest.approx((1.0, 0.5))
 
 
@@ -290,11 +294,11 @@ def test_walls_and_slivers():
     # a wall one micrometre wide and 2 m high, against a surface that crosses it
     xy = np.array([[-1, -1], [0, -1], [1e-6, -1], [1, -1], [-1, 1], [0, 1], [1e-6, 1], [1, 1.0]])
     wall = build_tin(np.c_[xy, np.where(xy[:, 0] > 0, 2.0, 0.0)])
-    r = between(wall, random_tin(seed=12))
+    r = volumes_between(wall, random_tin(seed=12))
     shallow = random_tin(seed=12)
     expected = (
-        between(build_tin(np.c_[xy[[0, 1, 4, 5]], np.zeros(4)]), shallow).net_m3
-        + between(build_tin(np.c_[xy[[1, 3, 5, 7]], np.full(4, 2.0)]), shallow).net_m3
+        volumes_between(build_tin(np.c_[xy[[0, 1, 4, 5]], np.zeros(4)]), shallow).net_m3
+        + volumes_between(build_tin(np.c_[xy[[1, 3, 5, 7]], np.full(4, 2.0)]), shallow).net_m3
     )
     assert r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(
         expected - 2e-6, abs=1e-9
@@ -451,7 +455,7 @@ def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():
         holes = dataclasses.replace(b, relevant=rng.random(len(b.triangles)) < 0.9)
         for other in (b, holes):
             alone = dataclasses.replace(other, neighbours=np.full_like(other.neighbours, -1))
-            one, two = between(a, other), between(a, alone)
+            one, two = volumes_between(a, other), volumes_between(a, alone)
             assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx(
                 (two.cut_m3, two.fill_m3, two.area_m2), rel=1e-12
             )
@@ -462,7 +466,7 @@ def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():
 def test_wrong_neighbours_cost_time_but_no_volume():
     a, b = random_tin(200, seed=21), random_tin(150, seed=22)
     mixed = dataclasses.replace(b, neighbours=np.random.default_rng(5).permutation(b.neighbours))
-    one, two = between(a, b), between(a, mixed)
+    one, two = volumes_between(a, b), volumes_between(a, mixed)
     assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx(
         (two.cut_m3, two.fill_m3, two.area_m2), rel=1e-9
     )
@@ -474,7 +478,7 @@ def test_one_triangle_over_more_than_can_wait_at_once():
     """
     x, y = (g.ravel() for g in np.meshgrid(np.linspace(-1, 1, 81), np.linspace(-1, 1, 81)))
     fine = build_tin(np.c_[x, y, 0.1 * x - 0.2 * y])
-    r = between(flat(1.0), fine)
+    r = volumes_between(flat(1.0), fine)
     assert (
         len(fine.triangles) > 2 * WAITING
         and r.area_m2 == pytest.approx(4.0, rel=1e-12)
@@ -484,16 +488,16 @@ def test_one_triangle_over_more_than_can_wait_at_once():
         fine.triangles.ravel(), np.repeat(footprint_areas(fine.vertices, fine.triangles) / 3.0, 3)
     )
     assert r.lower_net[:, 2] == pytest.approx(-thirds, abs=1e-15)
-    back = between(fine, flat(1.0))
+    back = volumes_between(fine, flat(1.0))
     assert back.gradient_net == pytest.approx(-r.lower_net, abs=1e-12)
 
 
 def test_results_do_not_depend_on_the_number_of_threads():
     a, b = random_tin(3000, seed=31), random_tin(2500, seed=32)
-    many, before = between(a, b), numba.get_num_threads()
+    many, before = volumes_between(a, b), numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        one = between(a, b)
+        one = volumes_between(a, b)
     finally:
         numba.set_num_threads(before)
     for field in dataclasses.fields(many):

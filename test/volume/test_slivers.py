@@ -13,7 +13,7 @@ from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import barycentric, height_at, locate, triangle_index
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.volume.field_checks.cut_bodies import cut_at_boundary
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 
 
 def surface():
@@ -49,11 +49,11 @@ def test_slivers_neither_break_nor_hold_volume():
         ),
     ):
         areas = footprint_areas(zero.vertices, zero.triangles)
-        r = between(zero, flat)
+        r = volumes_between(zero, flat)
         assert np.isfinite(r.gradient_net).all() and np.isfinite(r.lower_net).all()
         expected = (areas * zero.vertices[:, 2][zero.triangles].mean(axis=1)).sum()
         assert abs(r.net_m3 - expected) < 1e-8 and abs(r.area_m2 - 1.0) < 1e-8
-        back = between(flat, zero)
+        back = volumes_between(flat, zero)
         assert abs(back.net_m3 + r.net_m3) < 1e-8
     xy = tin.vertices[:, :2]
     assert np.isfinite(barycentric(tin, np.zeros(5, np.int64), xy)).all()

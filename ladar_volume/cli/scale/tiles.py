@@ -55,7 +55,7 @@ class Found:
 def run(arguments: argparse.Namespace) -> int:
     """Deal out, triangulate, add up, print."""
     console, words = Console(stderr=arguments.json), Console(stderr=True)
-    parameters = checked(arguments)
+    parameters = requested_parameters(arguments)
     store = arguments.store or arguments.cloud.with_name(arguments.cloud.name + ".tiles")
     with words.status("reading"):
         tile_m = TILE_M if arguments.tile is None else arguments.tile
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(arguments, facts["verdict"])
 
 
-def checked(a: argparse.Namespace) -> Parameters:
+def requested_parameters(a: argparse.Namespace) -> Parameters:
     """The parameters that are asked for. Raises :class:`ConfigurationError`."""
     if a.sigma is not None and a.sigma < 0.0:
         raise ConfigurationError(f"--sigma {a.sigma:g}: 0 or more", value=a.sigma)
@@ -180,7 +180,7 @@ def doubts_of(found: Found, ground: bool) -> list[Doubt]:
     return out
 
 
-def refuse_others(a: argparse.Namespace) -> None:
+def refuse_unknown_options(a: argparse.Namespace) -> None:
     """Raises :class:`ConfigurationError` for options of ``volume`` that tiles do not know, and for
     what it does besides unless it is told not to.
     """
@@ -206,5 +206,5 @@ def refuse_others(a: argparse.Namespace) -> None:
 
 def run_volume(arguments: argparse.Namespace) -> int:
     """``ladar_volume volume`` by tiles."""
-    refuse_others(arguments)
+    refuse_unknown_options(arguments)
     return run(arguments)

@@ -50,7 +50,7 @@ TRIED, TOGETHER = 10, 3
 
 
 @leaf_kernel
-def sum_of_less(a: F64, b: F64, n: int) -> Any:
+def sum_of_minima(a: F64, b: F64, n: int) -> Any:
     """Sum of the lesser of two numbers over n pairs; in eight sums, so that one addition need not
     wait for the last.
     """
@@ -86,7 +86,7 @@ def greedy_candidates(sample: PointSample, candidates: F64, worth: float, out: F
     while number < min(len(out), offered):
         c, left = np.argmax(gain), residual.sum()
         while known[c] < number:
-            gain[c], known[c] = left - sum_of_less(residual, square[c], n), number
+            gain[c], known[c] = left - sum_of_minima(residual, square[c], n), number
             c = np.argmax(gain)
         if gain[c] <= worth:
             break
@@ -116,7 +116,7 @@ def description_length(
 
 
 @leaf_kernel
-def _cut_off(square: F64, tried: int, n: int, limit: float, sigma: float) -> Any:
+def _truncate_squares(square: F64, tried: int, n: int, limit: float, sigma: float) -> Any:
     """Cut squares (tried, n) off at the limit; returns whether all planes are clutter's: no plane's
     own points scatter about it less than its slab's width lets them.
     """
@@ -149,7 +149,7 @@ def _all_sets(
                 size = 1 + (b > a) + (c > b)
                 if size > most or (a == b and c > b):  # every set once: a, ab as abb, abc
                     continue
-                total = sum_of_less(pair, square[c], n)
+                total = sum_of_minima(pair, square[c], n)
                 sets[number, 0], sets[number, 1], sets[number, 2] = a, b, c
                 least[number] = total * m / n + size * price
                 number += 1
@@ -171,7 +171,7 @@ def best_small_set(
     limit = sample.threshold * sample.threshold
     square, room = np.empty((tried, n)), tried * (tried * tried + 5) // 6
     squared_distances(sample.x, n, few, tried, square)
-    clutter = _cut_off(square, tried, n, limit, sigma)
+    clutter = _truncate_squares(square, tried, n, limit, sigma)
     sets, least = np.empty((room, TOGETHER), np.int64), np.empty(room)
     number = _all_sets(square, tried, m, 3.0 * np.log(m) * sigma * sigma, most, sets, least)
     trial = np.empty((MOST, 4))

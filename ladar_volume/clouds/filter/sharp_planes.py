@@ -51,7 +51,7 @@ def plane_through(a: F64, b: F64, c: F64, plane: F64) -> Any:
 
 
 @kernel
-def _two_near(x: F64, free: I64, m: int, a: int, reach: float, state: U64) -> Any:
+def _draw_two_neighbours(x: F64, free: I64, m: int, a: int, reach: float, state: U64) -> Any:
     """Two random points of ``free[:m]`` within ``reach`` of point a; returns (first, second, how
     many were found).
     """
@@ -103,7 +103,7 @@ def best_plane(
     best = 0.0
     for _ in range(trials):
         a = free[random_below(state, m)]
-        b, c, found = _two_near(x, free, m, a, reach, state)
+        b, c, found = _draw_two_neighbours(x, free, m, a, reach, state)
         if found < 2 or not plane_through(x[a], x[b], x[c], trial):
             continue
         score = _score(x, free, m, trial, limit, best)
@@ -283,7 +283,7 @@ def _count_sides(
 
 
 @leaf_kernel
-def _most_beyond(
+def _farthest_bounding_plane(
     q0: float, q1: float, q2: float, a: int, planes: F64, count: int, side: I64, skip: int
 ) -> Any:
     """Of the planes that bound plane a, the one q lies farthest beyond; −1 where it lies beyond
@@ -307,7 +307,7 @@ def nearest_on_piece(x: F64, a: int, planes: F64, count: int, side: I64) -> Any:
     n0, n1, n2 = planes[a, 0], planes[a, 1], planes[a, 2]
     d = distance(x, planes[a])
     q0, q1, q2 = x[0] - d * n0, x[1] - d * n1, x[2] - d * n2
-    b = _most_beyond(q0, q1, q2, a, planes, count, side, -1)
+    b = _farthest_bounding_plane(q0, q1, q2, a, planes, count, side, -1)
     if b < 0:
         return q0, q1, q2, 0
     b0, b1, b2 = planes[b, 0], planes[b, 1], planes[b, 2]
@@ -317,7 +317,7 @@ def nearest_on_piece(x: F64, a: int, planes: F64, count: int, side: I64) -> Any:
         return q0, q1, q2, 0
     g = (q0 * b0 + q1 * b1 + q2 * b2 - planes[b, 3]) / square
     q0, q1, q2 = q0 - g * (b0 - c * n0), q1 - g * (b1 - c * n1), q2 - g * (b2 - c * n2)
-    e = _most_beyond(q0, q1, q2, a, planes, count, side, b)
+    e = _farthest_bounding_plane(q0, q1, q2, a, planes, count, side, b)
     if e < 0:
         return q0, q1, q2, 1
     l0, l1, l2 = n1 * b2 - n2 * b1, n2 * b0 - n0 * b2, n0 * b1 - n1 * b0

@@ -43,7 +43,9 @@ def stray_effect(tin: Tin, inside_m2: F64, strays: F64, base: Plane | None = Non
     # a triangle that the surface does not have counts nowhere
     known = np.append(name, 0)[at] == names_of(old)
     of_old = np.where(known, np.append(share, 0.0)[at], 0.0)
-    return below(points, old, of_old) - below(points, new, of_new(points, old, of_old, new))
+    return volume_above_zero(points, old, of_old) - volume_above_zero(
+        points, new, of_new(points, old, of_old, new)
+    )
 
 
 def vertices_near(vertices: F64, strays: F64, reach_m: float) -> I64:
@@ -115,7 +117,7 @@ def of_new(points: F64, old: I32, of_old: F64, new: I32) -> F64:
         known = known | fresh
 
 
-def below(points: F64, triangles: I32, share: F64) -> float:
+def volume_above_zero(points: F64, triangles: I32, share: F64) -> float:
     """Volume, m³, between triangles (m, 3) and height 0."""
     area = np.abs(footprint_areas(points, triangles))
     return float((share * area * points[triangles, 2].mean(axis=1)).sum())

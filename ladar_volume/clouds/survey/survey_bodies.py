@@ -116,7 +116,7 @@ def points_near_outlines(outlines: tuple[F64, ...], margin_m: float, r: F64) -> 
     return np.asarray(r[((r[:, :2] >= low) & (r[:, :2] <= high)).all(axis=1)])
 
 
-def about(estimate: Estimate, returns: F64, parameters: Parameters) -> F64:
+def returns_around(estimate: Estimate, returns: F64, parameters: Parameters) -> F64:
     """The returns (n, 3) m around what an estimate of the surface found."""
     outlines = tuple(v.outline for v in (estimate.volume, *estimate.bodies))
     return points_near_outlines(outlines, parameters.volume.ground_ring_m, returns)

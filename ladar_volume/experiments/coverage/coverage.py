@@ -28,8 +28,8 @@ from ladar_volume.experiments.coverage.coverage_cases import (
     SEED,
     SITES,
     VARIANTS,
-    alone,
     measure_survey,
+    volume_changes_by_source,
 )
 from ladar_volume.experiments.coverage.coverage_engine import measure_by_engine
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError, VolumeError
@@ -98,16 +98,16 @@ def do(task: Task) -> dict[str, Any]:
     try:
         result = numbers(task)
     except (SurfaceError, VolumeError) as error:
-        return {**dataclasses.asdict(task), **made_by(), "result": {}, "refused": str(error)}
-    return {**dataclasses.asdict(task), **made_by(), "result": result}
+        return {**dataclasses.asdict(task), **provenance(), "result": {}, "refused": str(error)}
+    return {**dataclasses.asdict(task), **provenance(), "result": result}
 
 
-def do_all(group: Sequence[Task]) -> list[dict[str, Any]]:
+def survey_group(group: Sequence[Task]) -> list[dict[str, Any]]:
     """:func:`do` for surveys of one seed, which share their pulses and their ground."""
     return list(map(do, group))
 
 
-def made_by() -> dict[str, Any]:
+def provenance() -> dict[str, Any]:
     """What a line of the file must agree in to be counted."""
     return {"version": version(), "method": METHOD}
 
@@ -116,7 +116,7 @@ def numbers(task: Task) -> dict[str, Any]:
     """By base the numbers of one survey."""
     site = SITES[task.scenario]
     if task.variant == LINES:
-        return dict(alone(site, task.seed))
+        return dict(volume_changes_by_source(site, task.seed))
     by_engine = task.variant == ENGINE
     rows = (
         measure_by_engine(task.scenario, task.seed)
@@ -144,7 +144,7 @@ def sorted_rows(path: Path) -> tuple[list[dict[str, Any]], int]:
             row = json.loads(line)
         except json.JSONDecodeError:
             continue
-        if made_by().items() <= row.items():
+        if provenance().items() <= row.items():
             rows.append(row)
         else:
             others += 1
@@ -193,7 +193,7 @@ def results(todo: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
         try:
             while True:
                 for group in groups:
-                    waiting.add(pool.submit(do_all, group))
+                    waiting.add(pool.submit(survey_group, group))
                     if len(waiting) >= 2 * workers:
                         break
                 if not waiting:

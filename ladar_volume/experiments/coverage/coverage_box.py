@@ -28,7 +28,7 @@ from ladar_volume.uncertainty.ground_field import GroundField
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.roughness import estimate_roughness
 from ladar_volume.uncertainty.volume_budget import Budget, Sources
-from ladar_volume.volume.volume_loads import shared_by
+from ladar_volume.volume.volume_loads import shared_covariance_of
 
 #: Lowest points of the box that are not taken for ground, m above it.
 LEAST_M = 0.06
@@ -199,7 +199,7 @@ def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
         residual,
         height_variance(points)[ground.support],
         len(ground.beta),
-        shared_by(sources, ground.support),
+        shared_covariance_of(sources, ground.support),
     )
     return GroundField(p, bottom, -down, xy, fit, rough)
 

@@ -28,11 +28,11 @@ from ladar_volume.experiments.coverage.coverage_survey import (
     SOURCES,
     MappedSurvey,
     VertexSurvey,
+    budget_of_lines,
     fly,
-    surface_only,
+    noiseless_surface,
     survey,
     vertices,
-    without,
 )
 from ladar_volume.model.parameters import (
     BudgetParameters,
@@ -48,7 +48,7 @@ from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.chord_bias import chord_volumes
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.polygon import weights_inside
 from ladar_volume.volume.prismoids import prismoids
 
@@ -283,16 +283,16 @@ def net_volumes(
     """
     if isinstance(site, BoxSite):
         return {
-            CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed, ground=ground)))[
-                0
-            ].volume_m3
+            CLOSED: body_on_ground(
+                noiseless_surface(fly(site, drawn, DEFAULT, seed, ground=ground))
+            )[0].volume_m3
         }
     if site.height_m < 0:
         before, after = (
             full_tin(s, believed_parameters(DEFAULT, site, EPOCHS))
             for s in epochs(site, drawn, DEFAULT, seed, ground)
         )
-        return {EPOCHS: between(after, before, gradients=False).net_m3}
+        return {EPOCHS: volumes_between(after, before, gradients=False).net_m3}
     P = believed_parameters(DEFAULT, site, GROUND)
     flown = fly(site, drawn, DEFAULT, seed, ground=ground)
     tin = full_tin(flown, P)
@@ -310,7 +310,7 @@ def net_volumes(
     }
 
 
-def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, list[float]]]:
+def volume_changes_by_source(site: Site | BoxSite, seed: int) -> dict[str, dict[str, list[float]]]:
     """By base and line of the budget: the changes of the volume (m³) when that source alone errs,
     the same errors over two grounds of their own roughness; over one for noise, and for a box, on
     whose smooth ground little depends.
@@ -321,11 +321,11 @@ def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, list[float]]]:
     """
     out: dict[str, dict[str, list[float]]] = {base: {} for base in bases(site)}
     for ground in (seed,) if isinstance(site, BoxSite) else (seed, seed + OTHER_GROUND):
-        off = net_volumes(site, without(DEFAULT), seed, ground)
+        off = net_volumes(site, budget_of_lines(DEFAULT), seed, ground)
         for line in SOURCES:
             if line == NOISE and ground != seed:
                 continue
-            changed = net_volumes(site, without(DEFAULT, line), seed, ground)
+            changed = net_volumes(site, budget_of_lines(DEFAULT, line), seed, ground)
             for base, volume in off.items():
                 out[base].setdefault(line, []).append(changed[base] - volume)
         for base in {GROUND, CLOSED} & set(off):

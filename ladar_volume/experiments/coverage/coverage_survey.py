@@ -292,10 +292,10 @@ def surface_points(
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
     variance = (normal * (C @ normal[:, :, None])[:, :, 0]).sum(axis=1)
     tangential = pack(across @ C @ across).astype(np.float32)
-    return dataclasses.replace(surface_only(flown), variance=variance, C_tangent=tangential)
+    return dataclasses.replace(noiseless_surface(flown), variance=variance, C_tangent=tangential)
 
 
-def surface_only(flown: MappedSurvey) -> FilteredPoints:
+def noiseless_surface(flown: MappedSurvey) -> FilteredPoints:
     """Every return as a surface point without noise: enough for a volume without its sigma."""
     n = len(flown.points)
     return FilteredPoints(
@@ -366,7 +366,7 @@ def calibration_means(axes: F64, geometry: PointGeometry, ring: I64) -> F32:
     return M_cal
 
 
-def without(budget: BudgetParameters, *kept: str) -> BudgetParameters:
+def budget_of_lines(budget: BudgetParameters, *kept: str) -> BudgetParameters:
     """The budget with every source at zero except the named lines."""
     changes: dict[str, Any] = {
         name: zero for line, fields in SOURCES.items() if line not in kept for name, zero in fields

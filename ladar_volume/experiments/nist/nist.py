@@ -16,7 +16,7 @@ import numpy as np
 from ladar_volume.experiments.nist import nist_discrepancies as riddles
 from ladar_volume.experiments.nist.nist_experiments import (
     MethodComparison,
-    Own,
+    PackageVolume,
     error_pct,
     experiment_four,
     experiment_one,
@@ -51,7 +51,7 @@ class Study:
     full: F64
     three: F64
     four: list[list[list[MethodComparison]]]
-    own: list[Own]
+    own: list[PackageVolume]
     sensitivity: list[dict[str, F64]]
     front: tuple[F64, F64]
 
@@ -80,7 +80,7 @@ def run(seeds: int, progress: Callable[[str], None] = lambda text: None) -> Stud
     two: list[tuple[F64, F64, float]] = []
     three: list[F64] = []
     four: list[list[list[MethodComparison]]] = []
-    own: list[Own] = []
+    own: list[PackageVolume] = []
     sensitivity: list[dict[str, F64]] = []
     for seed in range(seeds):
         for density in range(len(DENSITIES)):
@@ -106,7 +106,7 @@ def spread(values: F64) -> float:
     return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
 
 
-def own_numbers(own: list[Own]) -> dict[str, float]:
+def own_numbers(own: list[PackageVolume]) -> dict[str, float]:
     """Bias and spread of the package's way over the seeds, and the predicted sigma, all in % of the
     box; errors of bias and spread.
     """

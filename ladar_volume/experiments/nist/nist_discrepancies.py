@@ -18,11 +18,11 @@ from ladar_volume.experiments.nist.nist_experiments import (
     FILTER_TOLERANCE_M,
     SUBSET_VERTICES,
     MethodComparison,
-    both,
     box_volume,
     error_pct,
     scan_frame,
     subsets,
+    surface_pairs,
 )
 from ladar_volume.experiments.nist.nist_published import (
     LEVELS_5_7,
@@ -35,7 +35,7 @@ from ladar_volume.experiments.nist.nist_scene import BOX_M, TRUE_M3, pair
 from ladar_volume.model.records import F64, Tin
 from ladar_volume.tin.locate import height_at
 from ladar_volume.tin.median_screen import tin_filter
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 
 #: Half width of the strips about walls, four times the range noise, and side of the cells of a
 #: difference map, m.
@@ -67,7 +67,7 @@ def by_region(surfaces: tuple[Tin, Tin]) -> F64:
     masks.append((true > 0) & ~masks[0] & ~masks[1])
     masks.append(~(masks[0] | masks[1] | masks[2]))
     error = np.nan_to_num(difference - true, nan=0.0) * CELL_M**2 * 100.0 / TRUE_M3
-    common = between(*surfaces, gradients=False).net_m3
+    common = volumes_between(*surfaces, gradients=False).net_m3
     return np.array(
         [
             *(error[m].sum() for m in masks),
@@ -104,12 +104,12 @@ def sensitivity(seed: int) -> dict[str, F64]:
 
 def subset_surfaces(with_box: F64, without_box: F64) -> tuple[Tin, Tin]:
     """Surfaces of two subsets (n, 3), m, with as many vertices as published."""
-    return both((with_box, without_box), (SUBSET_VERTICES, SUBSET_VERTICES))[1]
+    return surface_pairs((with_box, without_box), (SUBSET_VERTICES, SUBSET_VERTICES))[1]
 
 
 def common_error(surfaces: tuple[Tin, Tin]) -> F64:
     """Error (1,), %, of the volume over the common footprint."""
-    return error_pct(between(*surfaces, gradients=False).net_m3).reshape(1)
+    return error_pct(volumes_between(*surfaces, gradients=False).net_m3).reshape(1)
 
 
 def median_filter_shares(with_box: F64, without_box: F64) -> dict[str, F64]:

@@ -26,7 +26,7 @@ from ladar_volume.tin.median_screen import tin_filter
 from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction
 from ladar_volume.volume.cutfill import cut_sequence
 from ladar_volume.volume.floors import Offset, sequence_offset
-from ladar_volume.volume.overlay import between
+from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.published_methods import (
     Pairs,
     front_level,
@@ -46,7 +46,7 @@ LEVEL_STEP_M, SEARCH_STEP_M, LEVELS = 0.05, 0.002, 5
 
 
 @dataclass(frozen=True)
-class Own:
+class PackageVolume:
     """The package's way: volume_m3 and its predicted sigma_m3 from range noise · area_m2 : of the
     common footprint
     """
@@ -82,7 +82,7 @@ def box_volume(tins: tuple[Tin, Tin]) -> float:
     return float(method_two(*tins).volume_m3[0])
 
 
-def both(
+def surface_pairs(
     points: tuple[F64, F64], vertices: tuple[int, int], bins: int | None = None
 ) -> list[tuple[Tin, Tin]]:
     """The two surfaces, with and without the box, first as inserted, then RMS adjusted."""
@@ -104,7 +104,7 @@ def experiment_one(
     for i, n in enumerate(counts):
         for j, per_row in enumerate(bins):
             try:
-                surfaces = both((a.points, b.points), (n, n), per_row)
+                surfaces = surface_pairs((a.points, b.points), (n, n), per_row)
             except SurfaceError as error:
                 if error.reason != "surface_bins":
                     raise
@@ -133,7 +133,7 @@ def experiment_two(
     for i, density in enumerate(densities):
         a, b = pair(density, seed)
         points, n = (a.points, b.points), VERTICES_5_3[density - 1]
-        plain, rms = both(points, (n, n))
+        plain, rms = surface_pairs(points, (n, n))
         options = [plain, rms]
         for one, two in ((plain), (rms)):
             options.append(
@@ -144,7 +144,7 @@ def experiment_two(
             for s in range(2):
                 measures[i, s, :, k] = fits(points[s], surfaces[s])
         full = (
-            box_volume(both(points, (len(points[0]), len(points[1])))[0])
+            box_volume(surface_pairs(points, (len(points[0]), len(points[1])))[0])
             if i == len(densities) - 1
             else full
         )
@@ -175,7 +175,7 @@ def experiment_three(seed: int, count: int = SUBSETS) -> F64:
             (0, raw),
             (2, tuple(tin_filter(p, FILTER_TOLERANCE_M).points_map for p in raw)),
         ):
-            plain, rms = both((points[0], points[1]), (SUBSET_VERTICES, SUBSET_VERTICES))
+            plain, rms = surface_pairs((points[0], points[1]), (SUBSET_VERTICES, SUBSET_VERTICES))
             out[k, column : column + 2] = box_volume(rms), box_volume(plain)
     return out
 
@@ -265,19 +265,19 @@ def experiment_four(seed: int, count: int = SUBSETS) -> list[list[MethodComparis
         *((h, SUBSET_VERTICES) for h in halves),
     ]:
         turned = frame.points(points[0]), frame.points(points[1])
-        out.append([compare_methods(surfaces) for surfaces in both(turned, (n, n))])
+        out.append([compare_methods(surfaces) for surfaces in surface_pairs(turned, (n, n))])
     return out
 
 
-def own_way(a: Scan, b: Scan, sigma_m: float = RANGE_SIGMA_M) -> Own:
+def own_way(a: Scan, b: Scan, sigma_m: float = RANGE_SIGMA_M) -> PackageVolume:
     """All points, along the scan direction, over the common footprint; sigma from independent range
     noise through the exact gradients.
     """
     frame = scan_frame(b)
     surfaces = [build_tin(frame.points(s.points)) for s in (a, b)]
-    r = between(surfaces[0], surfaces[1])
+    r = volumes_between(surfaces[0], surfaces[1])
     variance = 0.0
     for scan, tin, gradient in zip((a, b), surfaces, (r.gradient_net, r.lower_net), strict=True):
-        along = (frame.vectors_back(gradient) * scan.ray[tin.source]).sum(axis=1)
+        along = (frame.gradients_to_map(gradient) * scan.ray[tin.source]).sum(axis=1)
         variance += float((along**2).sum()) * sigma_m**2
-    return Own(r.net_m3, float(np.sqrt(variance)), r.area_m2)
+    return PackageVolume(r.net_m3, float(np.sqrt(variance)), r.area_m2)

@@ -59,7 +59,7 @@ def place_flight(
     mount = mounting(parameters.calibration, parameters.georeference.pose_source)
     time, words = on_clock(time_column(cloud.columns), flown)
     time += mount.clock_ns * 1e-9
-    flown = around(flown, float(time.min()), float(time.max()))
+    flown = path_between(flown, float(time.min()), float(time.max()))
     xyz, turn, doubts = in_axes(flown, cloud, undulation_m)
     whole = np.floor(flown.time_s[0])  # times as whole numbers keep their nanoseconds
     t_pose, t_ns = (np.rint((t - whole) * 1e9).astype(np.int64) for t in (flown.time_s, time))
@@ -89,7 +89,7 @@ def place_flight(
     return PlacedFlight(errors, facts, tuple(doubts))
 
 
-def around(flown: FlownPath, first_s: float, last_s: float) -> FlownPath:
+def path_between(flown: FlownPath, first_s: float, last_s: float) -> FlownPath:
     """The path from a little before to a little after; the whole one where nothing is left."""
     inside = (flown.time_s >= first_s - MARGIN_S) & (flown.time_s <= last_s + MARGIN_S)
     return rows_of(flown, np.flatnonzero(inside)) if np.count_nonzero(inside) >= 2 else flown

@@ -79,8 +79,8 @@ def read_pos(path: Path) -> FlownPath:
             clock,
             place,
             attitude,
-            together(columns, ("sigma_e", "sigma_n", "sigma_u")),
-            together(columns, ("sigma_roll", "sigma_pitch", "sigma_heading"), np.pi / 180.0),
+            stacked_columns(columns, ("sigma_e", "sigma_n", "sigma_u")),
+            stacked_columns(columns, ("sigma_roll", "sigma_pitch", "sigma_heading"), np.pi / 180.0),
         )
     )
 
@@ -154,7 +154,7 @@ def seconds(
     """Times, s, and their clock."""
     if dated:
         stamps = [f"{row[0].replace('/', '-')}T{row[1]}+00:00" for row in rows]
-        return np.array([_since(stamp) for stamp in stamps]), "gps"
+        return np.array([_gps_seconds(stamp) for stamp in stamps]), "gps"
     if spread:
         week = np.array([float(row[0]) for row in rows])
         return week * WEEK_S + columns["time"], "gps"
@@ -163,7 +163,7 @@ def seconds(
     return columns["time"], clock_of(columns["time"])
 
 
-def _since(stamp: str) -> float:
+def _gps_seconds(stamp: str) -> float:
     """Seconds since 6 January 1980. Raises :class:`InputError`."""
     try:
         return (datetime.fromisoformat(stamp) - EPOCH) / timedelta(seconds=1)
@@ -180,7 +180,9 @@ def leap_s(time_s: F64) -> float:
     return ahead
 
 
-def together(columns: dict[str, F64], keys: tuple[str, str, str], unit: float = 1.0) -> F64 | None:
+def stacked_columns(
+    columns: dict[str, F64], keys: tuple[str, str, str], unit: float = 1.0
+) -> F64 | None:
     """Three columns (n, 3); None where one is missing."""
     if not set(keys) <= set(columns):
         return None

@@ -101,9 +101,9 @@ class ClosedBodies:
         self, store: ReturnStore, estimate: Estimate, parameters: Parameters, job: MeshingOutcome
     ) -> None:
         try:
-            from ladar_volume.clouds.survey.survey_bodies import about, mesh_returns
+            from ladar_volume.clouds.survey.survey_bodies import mesh_returns, returns_around
 
-            near = about(estimate, store.returns(), parameters)
+            near = returns_around(estimate, store.returns(), parameters)
             self._ready = dataclasses.replace(job, meshed_returns=mesh_returns(near, parameters))
         except Exception as error:  # the worker tells of it, and of a defect as of any other
             self._ready = dataclasses.replace(job, error=error)
@@ -133,7 +133,7 @@ class ClosedBodies:
             raise
         return self.found
 
-    async def of_all(self, begin: Callable[[], None]) -> None:
+    async def wait_for_all(self, begin: Callable[[], None]) -> None:
         """Wait for the bodies of all data so far, which ``begin`` has made."""
         self.waits, deadline = True, time.monotonic() + ANSWER_S
         try:
