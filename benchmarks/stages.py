@@ -34,6 +34,7 @@ from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.pipeline import Engine
+from ladar_volume.rmls import point_admission
 from ladar_volume.rmls.fit_store import FitStore
 from ladar_volume.rmls.patch_builder import PatchBuilder
 from ladar_volume.rmls.surface_filter import SurfaceFilter
@@ -46,6 +47,7 @@ Record = tuple[int, str, Any]
 #: What is timed: its name in the table, where it lives and what it is called there.
 TIMED: tuple[tuple[str, Any, str], ...] = (
     ("filter: points taken in", SurfaceFilter, "_take_in"),
+    ("filter: geometry regained from poses", point_admission, "geometry"),
     ("filter: fits", PatchBuilder, "fit"),
     ("filter: fits kept", FitStore, "keep"),
     ("filter: patches, with cross blocks and sensitivities", PatchBuilder, "patches"),

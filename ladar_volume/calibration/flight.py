@@ -144,7 +144,7 @@ def remap_returns(
     their index (n,) in the flight.
 
     Positions are linear between states, which are as dense as the attitudes. ``sigmas`` (3,) as
-    ``budget.independent_sigmas``.
+    ``error_budget.independent_sigmas``.
     """
     mount, states = apply_corrections(flight.mount, theta), flight.states
     R = matrix_from_quaternion(states.q_map_body)

@@ -50,7 +50,7 @@ _FEWEST = 20
 
 @dataclass(frozen=True)
 class StripCalibration:
-    """What the strips say. Columns are those of ``budget.calibration_columns``: m, rad, s.
+    """What the strips say. Columns are those of ``error_budget.calibration_columns``: m, rad, s.
 
     theta : (c,) corrections of the constants (body rotation vector for the boresight), zero for
     columns that have none · prior, posterior : (c, c) before and after · C_cal : (c, c) for the
@@ -147,7 +147,7 @@ def calibrate(
     flight: Flight, budget: BudgetParameters, prior: F64, options: StripParameters | None = None
 ) -> StripCalibration:
     """Corrections of a flight's constants. ``prior`` (c, c) is C_cal of the budget
-    (``budget.calibration_covariance``); columns of zero variance stay as they are.
+    (``error_budget.calibration_covariance``); columns of zero variance stay as they are.
 
     Raises :class:`CalibrationError`: calibration_no_overlap, calibration_no_convergence,
     calibration_unobservable (no constant gains).

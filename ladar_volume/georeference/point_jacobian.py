@@ -74,6 +74,16 @@ def bracket(t_ns: I64, knots_ns: I64, segment: I64) -> tuple[Bool, I64, F64]:
     return covered, k, fraction
 
 
+def interpolate_poses(states: PlatformStates, k: I64, f: F64) -> tuple[F64, F64]:
+    """Rotations (n, 3, 3), map from body, and places (n, 3) m a share f (n,) of the way from states
+    k (n,) to those after them.
+    """
+    after = np.minimum(k + 1, len(states) - 1)
+    R = matrix_from_quaternion(slerp(states.q_map_body[k], states.q_map_body[after], f))
+    p = states.p_map_body
+    return R, p[k] + f[:, None] * (p[after] - p[k])
+
+
 def point_geometry(
     points: MappedPoints, states: PlatformStates, calibration: CalibrationParameters | Mounting
 ) -> PointGeometry:
@@ -98,11 +108,9 @@ def point_geometry(
         out: F64 = values[k] + f[:, None] * (values[nxt] - values[k])
         return out
 
-    R = matrix_from_quaternion(slerp(states.q_map_body[k], states.q_map_body[nxt], f))
+    R, place = interpolate_poses(states, k, f)
     omega = linear(states.omega_body)
-    v_body = (
-        np.einsum("nji,nj->ni", R, points.r_map - linear(states.p_map_body)) - mount.lever_laser
-    )
+    v_body = np.einsum("nji,nj->ni", R, points.r_map - place) - mount.lever_laser
     # the antenna moves with the IMU origin and turns about it
     velocity = np.einsum(
         "nij,nj->ni", R, linear(states.v_body) + np.cross(omega, mount.lever_antenna)
@@ -158,8 +166,8 @@ def beam_jacobian(geometry: PointGeometry) -> F64:
 def full_calibration_jacobian(
     geometry: PointGeometry, ring: npt.NDArray[np.uint16], beams: int
 ) -> F64:
-    """All calibration columns, beams included, in the order of ``budget.calibration_columns``: (n,
-    3, 11 + 2 beams).
+    """All calibration columns, beams included, in the order of
+    ``error_budget.calibration_columns``: (n, 3, 11 + 2 beams).
     """
     shared, own = len(CAL_COLUMNS), beam_jacobian(geometry)
     rows, k = np.arange(len(geometry)), ring.astype(np.int64)
@@ -191,7 +199,7 @@ def unpack(packed: npt.ArrayLike) -> F64:
 
 def independent_covariance(geometry: PointGeometry, sigmas: F64) -> F64:
     """C_ind (n, 3, 3) m² of range, azimuth and vertical noise ``sigmas`` (3,) (from
-    ``budget.independent_sigmas``).
+    ``error_budget.independent_sigmas``).
     """
     J = measurement_jacobian(geometry) * sigmas
     out: F64 = J @ np.swapaxes(J, 1, 2)

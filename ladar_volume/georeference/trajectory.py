@@ -129,7 +129,7 @@ def rates_from_attitudes(t_ns: I64, q: F64, max_gap_ns: int) -> F64:
 
 class Trajectory:
     """Streaming knots. Times must be strictly increasing per topic (see
-    ``admission.TimeOrder``).
+    ``sample_admission.TimeOrder``).
     """
 
     def __init__(self, parameters: GeoreferenceParameters, lever_antenna: F64) -> None:

@@ -21,10 +21,10 @@ from ladar_volume.georeference.lidar_equation import Mounting, laser_vector, map
 from ladar_volume.georeference.point_jacobian import (
     bracket,
     independent_covariance,
+    interpolate_poses,
     pack,
     point_geometry,
 )
-from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import (
@@ -161,9 +161,7 @@ def fire_pulses(plan: Plan, mount: Mounting, count: int, rng: np.random.Generato
     span = np.minimum(np.searchsorted(ends, at, side="right"), len(ends) - 1)
     t_ns = np.floor((begin[span] + at - (ends - length)[span]) * 1e9).astype(np.int64)
     _, k, f = bracket(t_ns, path.t_ns, path.segment)
-    after = np.minimum(k + 1, len(path) - 1)
-    R = matrix_from_quaternion(slerp(path.q_map_body[k], path.q_map_body[after], f))
-    origin = path.p_map_body[k] + f[:, None] * (path.p_map_body[after] - path.p_map_body[k])
+    R, origin = interpolate_poses(path, k, f)
     ring = rng.integers(0, scanner.beams, count).astype(np.uint16)
     elevation = (
         np.linspace(scanner.low_rad, scanner.high_rad, scanner.beams)[ring]

@@ -33,8 +33,8 @@ def design(r_map: F64, centre: F64, normal: F64, tangent: F64, degree: int) -> t
 
 def arc(X: F64, beta: F64) -> tuple[F64, F64, F64]:
     """Height (n,) of the constant-curvature surface above its osculating quadric, and the slopes
-    (n,) along u and v of the whole surface, at design rows X (n, 6); see ``frame.arc``. Zero height
-    and the plane's slopes for rows (n, 3).
+    (n,) along u and v of the whole surface, at design rows X (n, 6); see
+    ``tangent_frame.arc_height``. Zero height and the plane's slopes for rows (n, 3).
     """
     if X.shape[1] == 3:
         return np.zeros(len(X)), np.full(len(X), beta[1]), np.full(len(X), beta[2])

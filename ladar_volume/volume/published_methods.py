@@ -5,9 +5,8 @@
 levels beyond everything scanned, where fill is zero: cut with it minus cut without. Both compare
     each surface over its own footprint,
 and levels that differ by the offset between the two surfaces. Where the footprints differ, their
-    difference times the distance to the
-level enters; :func:`overlay.between` over the common footprint does not know this error, nor needs
-    a level.
+difference times the distance to the level enters; :func:`overlay.volumes_between` over the common
+footprint does not know this error, nor needs a level.
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ def settings(parameters: PublishedFilterParameters, **changes: float) -> Publish
 
 def filter_published(r: F64, parameters: PublishedParameters) -> CloudResult:
     """Algorithm 1 on points (n, 3), m, in any frame, without its reductions. Raises FilterError as
-    ``cloud.filter_cloud``.
+    ``filter_cloud.filter_cloud``.
 
     Points never projected keep their last reason: ``few_neighbours`` where no neighbourhood with
     enough new points reached them.

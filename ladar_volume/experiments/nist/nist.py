@@ -40,7 +40,8 @@ class Study:
     points : (s, 5, 2) after cropping, with and without the box · one : (r, 2, 10, 7) m³ · two : (s,
     5, 4) m³ · fits : (s, 5, 2, 2, 4) m · full : (s,) m³, all points of density 5 · three : (s, 10,
     4) m³ · four : by seed, cloud (the full set first) and adjustment · own : the package's way ·
-    sensitivity : by seed, see :func:`nist_riddles.sensitivity` · front : levels and cut volumes of
+    sensitivity : by seed, see :func:`nist_discrepancies.sensitivity` · front : levels and cut
+    volumes of
     seed 0 as in Table 5.6, see :func:`nist_experiments.front_sequences`
     """
 
