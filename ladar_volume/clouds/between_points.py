@@ -83,9 +83,8 @@ def between_points(
     points are too few to tell.
     """
     tin = surface.representation.tin
-    hidden = bridged_deviation(
-        surface, inside if untold is None else np.where(untold, inside, 0.0), height
-    )
+    counts = inside if untold is None else np.where(untold, inside, 0.0)
+    hidden = bridged_deviation(surface, counts, height)
     spacing, own = spacings(tin.vertices[:, :2]), along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:

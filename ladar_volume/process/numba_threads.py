@@ -5,10 +5,10 @@ an estimate does.
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 
-def choose_openmp(numba: Any) -> None:
+def choose_openmp(numba: ModuleType) -> None:
     """Choose OpenMP where neither the user (``NUMBA_THREADING_LAYER``) nor the program that imports
     the package chose otherwise.
     """
