@@ -36,7 +36,13 @@ EXTRAS = {
         "open3d>=0.19; platform_machine != 'x86_64' or sys_platform != 'linux'",
     ],
     # files of CAD and GIS; coordinate systems are among NEEDED
-    "geo": ["rasterio>=1.3", "ezdxf>=1.1", "pye57>=0.4.1", "pyogrio>=0.7", "shapely>=2.0"],
+    "geo": [
+        "rasterio>=1.3",
+        "ezdxf>=1.1",
+        "pye57>=0.4.1; platform_machine == 'x86_64'",
+        "pyogrio>=0.7",
+        "shapely>=2.0",
+    ],
     "frames": ["geopandas>=1.0", "xarray>=2024.1"],  # answers as their tables and rasters
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
     "foxglove": ["foxglove-sdk>=0.30"],  # `up --foxglove`

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree
+
+import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 #: Packages by the rosdep key that installs them (rosdep's python.yaml for Ubuntu 24.04), or "" for
@@ -44,6 +49,15 @@ KEYS = {
 }
 #: Packages that ROS from apt was compiled for, or that come with it: never a second time by pip.
 OF_THE_SYSTEM = {"numpy", "scipy", "pyproj", "matplotlib", "PyYAML", "jinja2"}
+#: Their versions in Ubuntu 24.04.
+UBUNTU = {
+    "numpy": "1.26.4",
+    "scipy": "1.11.4",
+    "pyproj": "3.6.1",
+    "matplotlib": "3.6.3",
+    "pyyaml": "6.0.1",
+    "jinja2": "3.1.2",
+}
 
 
 def pins(name: str) -> dict[str, str]:
@@ -78,8 +92,6 @@ def test_no_constructor_of_sparse_arrays_that_ubuntu_lacks_is_used():
 
 def declared():
     """What setup.py declares, by package: its requirement; extras but the tests' among it."""
-    from packaging.requirements import Requirement
-
     names = {}
     for node in ast.parse((ROOT / "setup.py").read_text()).body:
         if isinstance(node, ast.Assign):
@@ -95,3 +107,35 @@ def test_pip_installs_what_the_set_up_pins():
     wanted, pinned = declared(), pins("requirements.txt")
     assert set(wanted) == set(pinned)
     assert not [name for name, wish in wanted.items() if pinned[name] not in wish.specifier]
+
+
+def test_no_package_asks_for_another_version_than_ubuntus():
+    """Else pip would lay a second NumPy over the one for which ROS was compiled."""
+    where = {"python_version": "3.12", "python_full_version": "3.12.3", "extra": ""}
+    others, seen = [], 0
+    for name in pins("requirements-apt.txt"):
+        try:
+            needs = metadata.requires(name) or []
+        except metadata.PackageNotFoundError:  # of another machine
+            continue
+        for wish in map(Requirement, needs):
+            version = UBUNTU.get(wish.name.lower().replace("_", "-"))
+            if version and (not wish.marker or wish.marker.evaluate(where)):
+                seen += 1
+                others += [f"{name}: {wish}"] if version not in wish.specifier else []
+    assert not others and seen > 10
+
+
+def test_every_pinned_package_has_a_wheel_for_arm64():
+    done = subprocess.run(
+        ["bash", str(ROOT / "tools" / "check_arm64.sh"), "--pins"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    said = done.stderr.lower()
+    if done.returncode and ("connection" in said or "timed out" in said or "resolution" in said):
+        pytest.skip("no package index can be reached")
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "packages have a wheel for arm64" in done.stdout
