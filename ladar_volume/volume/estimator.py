@@ -23,6 +23,7 @@ from ladar_volume.model.records import (
     Plane,
     PlatformStates,
     StandingObject,
+    Volume,
 )
 from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.epoch_budget import Epoch
@@ -40,6 +41,7 @@ from ladar_volume.volume.field_checks.object_removal import (
     objects_by_body,
     without_objects,
 )
+from ladar_volume.volume.field_checks.surface_choice import usual_surface, with_choice
 from ladar_volume.volume.field_checks.survey_surface import survey_surface
 from ladar_volume.volume.measured_body import (
     Footing,
@@ -170,12 +172,19 @@ class VolumeEstimator:
                 bodies, volumes, objects_by_body(objects, volumes), strict=True
             )
         )
+        volumes = with_choice(volumes, self.parameters.tin, self._usual_volumes)
         self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)
         if joint is not None:  # what two bodies share, and what each has of its own
             joint *= budget_scale(passes.agreement, self.parameters.volume.budget_check)
             np.fill_diagonal(joint, [v.sigma_m3**2 for v in volumes])
         base, grounds = self._grounds(survey, footing, bodies[0])
         return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)
+
+    def _usual_volumes(self) -> tuple[Volume, ...]:
+        """Of the surface with the usual vertices and diagonals."""
+        other = copy.copy(self)
+        other.set_parameters(usual_surface(self.parameters))
+        return other.estimate(naive=False).bodies
 
     def epoch(self) -> Epoch:
         """Everything so far as one survey, to be compared with another. Raises

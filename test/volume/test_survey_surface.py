@@ -14,9 +14,11 @@ from volume_surfaces import cone, platform, surface_update
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.surface_parameters import TinParameters
 from ladar_volume.tin.elevation_adjustment import fit_of, measures
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.field_checks.surface_choice import with_choice
 from ladar_volume.volume.field_checks.survey_surface import survey_surface
 
 CONE = math.pi * 16.0
@@ -79,8 +81,19 @@ def test_another_surface_and_the_same_volume(update, third, options):
     assert abs(found.volume.volume_m3 - CONE) < 2.0 * found.volume.sigma_m3
     assert 0.8 < found.volume.sigma_m3 / third.volume.sigma_m3 < 1.5
     lacking = "exchange" in options or options.get("criterion") == "residual-sigma"
-    said = [d.name for d in found.volume.verdict.doubts]
-    assert ("surface_held_fixed" in said) == lacking
+    assert ("surface_choice" in found.volume.budget_m6) == lacking
+    assert "surface_held_fixed" not in [d.name for d in found.volume.verdict.doubts]
+
+
+def test_what_a_choice_by_the_noise_adds_is_a_line(update, third):
+    for options in ({"exchange": "rms"}, {"criterion": "residual-sigma"}):
+        v = estimator(update, THIRD, **options).estimate().volume
+        off = v.volume_m3 - third.volume.volume_m3
+        assert v.budget_m6["surface_choice"] == pytest.approx(off**2) and off != 0.0
+        assert v.sigma_m3 == pytest.approx(math.sqrt(sum(v.budget_m6.values())), rel=1e-6)
+    (doubted,) = with_choice((v,), TinParameters(exchange="rms"), lambda: ())
+    assert "surface_held_fixed" in [d.name for d in doubted.verdict.doubts]
+    assert with_choice((v,), TinParameters(), lambda: pytest.fail("not asked")) == (v,)
 
 
 def test_exchange_lowers_the_misfit_and_adjustment_too(update, third):

@@ -14,7 +14,6 @@ from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
-from ladar_volume.model.surface_parameters import TinParameters
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.pass_agreement import (
@@ -301,22 +300,9 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     return with_line(volume, "edges", found.sigma_m3**2)
 
 
-def with_surface(survey: SurveyedSurface, volume: Volume, options: TinParameters) -> Volume:
+def with_surface(survey: SurveyedSurface, volume: Volume) -> Volume:
     """The volume with what the making of its surface leaves to doubt."""
-    made, doubts = survey.surface, []
-    lacking = {
-        "the exchanged diagonals": options.exchange != "none",
-        "the vertices chosen by tin.criterion residual-sigma": options.criterion
-        == "residual-sigma",
-    }
-    fixed = [name for name, chosen in lacking.items() if chosen]
-    if fixed:
-        words = (
-            f"sigma takes {' and '.join(fixed)} for given, though noise had a part in it: with "
-            "redrawn noise the volume of a cone scattered up to 1.6 times the line noise; compare "
-            "with the default"
-        )
-        doubts.append(Doubt("surface_held_fixed", words))
+    made, doubts = survey.surface, list[Doubt]()
     if not made.converged:
         words = (
             "the adjustment rms-iterated ended before its tolerance, and sigma is that of its "
@@ -354,7 +340,7 @@ def assess_field(
     surface.
     """
     part = body.part
-    volume = with_surface(survey, volume, parameters.tin)
+    volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(volume, passes.cover_m)
     volume = with_gaps(survey, footing, part, volume)
