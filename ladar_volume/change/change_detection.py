@@ -85,59 +85,64 @@ class ThresholdedVolumes:
 def change_map(
     new: Epoch,
     previous: Epoch,
-    apart: Difference,
+    difference: Difference,
     coverage_factor: float,
     separate: Collection[str] = (),
 ) -> ChangeMap:
     """The level of detection of a difference of heights (see
     :func:`ladar_volume.change.epoch_change.epoch_difference`).
     """
-    own, other = (new, previous) if apart.upper_carries else (previous, new)
-    used = np.zeros(len(apart.tin.vertices), bool)
-    used[apart.tin.triangles[apart.tin.relevant]] = True
+    own, other = (new, previous) if difference.upper_carries else (previous, new)
+    used = np.zeros(len(difference.tin.vertices), bool)
+    used[difference.tin.triangles[difference.tin.relevant]] = True
     at = np.flatnonzero(used)
-    noise = np.sqrt(height_variance(own, other, apart))
+    noise = np.sqrt(height_variance(own, other, difference))
     cross = calibration_cross(new, previous, separate)
-    shared = shared_sigma(own, other, apart, at, cross if apart.upper_carries else cross.T)
+    shared = shared_sigma(
+        own, other, difference, at, cross if difference.upper_carries else cross.T
+    )
     noise[~used] = np.nan
-    z = np.where(used, apart.tin.vertices[:, 2], np.nan)
+    z = np.where(used, difference.tin.vertices[:, 2], np.nan)
     level = coverage_factor * np.hypot(noise, shared)
-    area = footprint_areas(apart.tin.vertices, apart.tin.triangles[apart.tin.relevant]) / 3.0
+    area = (
+        footprint_areas(difference.tin.vertices, difference.tin.triangles[difference.tin.relevant])
+        / 3.0
+    )
     stands: F64 = np.zeros(len(used))
     stands += np.bincount(
-        apart.tin.triangles[apart.tin.relevant].ravel(), np.repeat(area, 3), len(used)
+        difference.tin.triangles[difference.tin.relevant].ravel(), np.repeat(area, 3), len(used)
     )
     tin = Tin(
         own.tin.vertices,
-        apart.tin.triangles,
-        apart.tin.neighbours,
-        apart.tin.relevant,
-        apart.tin.source,
+        difference.tin.triangles,
+        difference.tin.neighbours,
+        difference.tin.relevant,
+        difference.tin.source,
     )
     return ChangeMap(tin, z, noise, shared, level, np.abs(z) > level, stands)
 
 
-def shared_sigma(own: Epoch, other: Epoch, apart: Difference, at: I64, cross: F64) -> F64:
+def shared_sigma(own: Epoch, other: Epoch, difference: Difference, at: I64, cross: F64) -> F64:
     """Standard deviation (n,) m at vertices ``at`` (k,) of all that is no noise of returns, NaN
     elsewhere; cross : covariance (c, c) of the calibration errors of own and other.
     """
-    shared = np.full(len(apart.tin.vertices), np.nan)
+    shared = np.full(len(difference.tin.vertices), np.nan)
     for start in range(0, len(at), BLOCK):
         rows = at[start : start + BLOCK]
         shared[rows] = np.sqrt(
             np.maximum(
-                shared_variance(own, other, apart, rows, cross),
+                shared_variance(own, other, difference, rows, cross),
                 0.0,
             )
         )
     return shared
 
 
-def height_variance(own: Epoch, other: Epoch, apart: Difference) -> F64:
+def height_variance(own: Epoch, other: Epoch, difference: Difference) -> F64:
     """Variance (n,) m² of each difference from the returns' noise: of the vertex itself and of the
     other surface interpolated there.
     """
-    n = len(apart.tin.vertices)
+    n = len(difference.tin.vertices)
     start, column = np.arange(n + 1, dtype=np.int64), np.arange(n, dtype=np.int64)
     C = []
     for e in (own, other):
@@ -150,7 +155,7 @@ def height_variance(own: Epoch, other: Epoch, apart: Difference) -> F64:
                 )
             )
         )
-    mine, taken = difference_kernel(start, column, C[0], C[1], apart.corner, apart.weight)
+    mine, taken = difference_kernel(start, column, C[0], C[1], difference.corner, difference.weight)
     out: F64 = mine + taken
     return out
 
@@ -177,12 +182,12 @@ def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64,
     return by_calibration, by_navigation
 
 
-def shared_variance(own: Epoch, other: Epoch, apart: Difference, rows: I64, cross: F64) -> F64:
+def shared_variance(own: Epoch, other: Epoch, difference: Difference, rows: I64, cross: F64) -> F64:
     """Variance (k,) m² of the differences at vertices ``rows`` (k,) from all that is no noise of
     returns; cross : covariance (c, c) of the calibration errors of own and other.
     """
     J, own_navigation = sensitivity_rows(own, rows[:, None], np.ones((len(rows), 1)))
-    K, navigation = sensitivity_rows(other, apart.corner[rows], apart.weight[rows])
+    K, navigation = sensitivity_rows(other, difference.corner[rows], difference.weight[rows])
     out: F64 = ((J @ own.sources.C_cal) * J).sum(axis=1)
     out += ((K @ other.sources.C_cal) * K).sum(axis=1) - 2.0 * ((J @ cross) * K).sum(axis=1)
     for part in (own_navigation, navigation):
@@ -200,14 +205,16 @@ def shared_variance(own: Epoch, other: Epoch, apart: Difference, rows: I64, cros
 
 
 def weighted_sigma(
-    new: Epoch, previous: Epoch, apart: Difference, weight: F64, separate: Collection[str]
+    new: Epoch, previous: Epoch, difference: Difference, weight: F64, separate: Collection[str]
 ) -> float:
     """Standard deviation, m³, of ``Σ weight_i difference_i`` with weights (n,) m², all sources and
     correlations.
     """
-    own, other = (new, previous) if apart.upper_carries else (previous, new)
+    own, other = (new, previous) if difference.upper_carries else (previous, new)
     at_other = np.bincount(
-        apart.corner.ravel(), (weight[:, None] * apart.weight).ravel(), len(other.tin.vertices)
+        difference.corner.ravel(),
+        (weight[:, None] * difference.weight).ravel(),
+        len(other.tin.vertices),
     )
     gradients = []
     for epoch, w in ((own, weight), (other, -at_other)):
@@ -215,14 +222,14 @@ def weighted_sigma(
         gradients.append(
             w[:, None] * n / np.copysign(np.maximum(np.abs(n[:, 2:]), LEAST_UPWARD), n[:, 2:])
         )
-    one, two = gradients if apart.upper_carries else (-gradients[1], -gradients[0])
+    one, two = gradients if difference.upper_carries else (-gradients[1], -gradients[0])
     return epoch_budget(new, previous, one, two, separate).sigma
 
 
 def threshold_volumes(
     new: Epoch,
     previous: Epoch,
-    apart: Difference,
+    difference: Difference,
     change: ChangeMap,
     coverage_factor: float,
     separate: Collection[str] = (),
@@ -239,14 +246,14 @@ def threshold_volumes(
     )
     return ThresholdedVolumes(
         up - down,
-        weighted_sigma(new, previous, apart, kept, separate),
+        weighted_sigma(new, previous, difference, kept, separate),
         up,
         down,
         float(kept.sum()),
         float(change.area_m2.sum()),
         float(np.median(change.level_m[used])),
         0.0 - float(parts[~chosen].sum()),
-        weighted_sigma(new, previous, apart, rest, separate),
+        weighted_sigma(new, previous, difference, rest, separate),
         noise * math.exp(-0.5 * coverage_factor**2),
         noise,
     )

@@ -66,17 +66,17 @@ def cut_and_fill(
     new: Epoch,
     previous: Epoch,
     found: VolumesBetween,
-    apart: Difference,
+    difference: Difference,
     budget: EpochBudget,
     separate: Collection[str] = (),
 ) -> CutAndFill:
     """Cut and fill of the overlay ``found`` of two surveys, whose difference of heights is
-    ``apart`` and whose net volume has the ``budget``.
+    ``difference`` and whose net volume has the ``budget``.
     """
-    near = near_difference(new, previous, apart)
+    near = near_difference(new, previous, difference)
     folded = 0.0 if near is None else near.removed_m3(found.cut_m3, found.fill_m3)
-    variance = part_variances(new, previous, found, apart, near, separate)
-    variance += shared_shift_variances(new, previous, apart, budget, separate)
+    variance = part_variances(new, previous, found, difference, near, separate)
+    variance += shared_shift_variances(new, previous, difference, budget, separate)
     if near is not None and near.correction_m3 + near.remaining.fold_m3 > folded:
         # one of the two is 0, and the other the net volume: its noise is no less than that
         variance = np.maximum(variance, sum(budget.lines.get(name, 0.0) for name in NOISE))
@@ -107,20 +107,20 @@ def height_noise(epoch: Epoch) -> tuple[Any, F64, float]:
     return C, *height_sums(s.patches, s.geometry, X, row, chosen, variance)
 
 
-def near_difference(new: Epoch, previous: Epoch, apart: Difference) -> NearBase | None:
+def near_difference(new: Epoch, previous: Epoch, difference: Difference) -> NearBase | None:
     """What noise folds into cut and fill where the surfaces are near each other; None where they
     nowhere are. Vertices of a partial TIN are chosen by their heights: their variances near the
     other surface are raised to what they scatter.
     """
-    own, other = (new, previous) if apart.upper_carries else (previous, new)
+    own, other = (new, previous) if difference.upper_carries else (previous, new)
     (C_own, sums, alike), (C_other, other_sums, other_alike) = (
         height_noise(own),
         height_noise(other),
     )
-    C, below, tin = apart.covariance(C_own, other.tin, C_other), other.tin, apart.common()
+    C, below, tin = difference.covariance(C_own, other.tin, C_other), other.tin, difference.common()
     # as many of the carrying surface's vertices as stand where one of the other's does
     density = fineness(tin) / max(fineness(below), 1e-300)
-    summed = sums + density * (apart.weight * other_sums[apart.corner]).sum(axis=1)
+    summed = sums + density * (difference.weight * other_sums[difference.corner]).sum(axis=1)
     height, t = tin.vertices[:, 2], tin.triangles
     near = t[near_triangles(t, height, C.diagonal())]
     if not len(near):
@@ -140,7 +140,7 @@ def part_variances(
     new: Epoch,
     previous: Epoch,
     found: VolumesBetween,
-    apart: Difference,
+    difference: Difference,
     near: NearBase | None,
     separate: Collection[str],
 ) -> F64:
@@ -151,9 +151,9 @@ def part_variances(
     more = 0.0
     if near is not None:
         more = near.curved_m6 + near.remaining.sigma_m3**2
-        other = previous if apart.upper_carries else new
-        shares = apart.shares(near.gradient_cut, near.gradient_net, len(other.tin.vertices))
-        of_upper, of_lower = shares if apart.upper_carries else shares[::-1]
+        other = previous if difference.upper_carries else new
+        shares = difference.shares(near.gradient_cut, near.gradient_net, len(other.tin.vertices))
+        of_upper, of_lower = shares if difference.upper_carries else shares[::-1]
         upper = blend_cut_gradients(of_upper, found.gradient_net, upper)
         lower = blend_cut_gradients(of_lower, found.lower_net, lower)
     cut = epoch_budget(new, previous, upper, lower, separate).sigma
@@ -174,7 +174,11 @@ def blend_cut_gradients(share: F64, net: F64, cut: F64) -> F64:
 
 
 def shared_shift_variances(
-    new: Epoch, previous: Epoch, apart: Difference, budget: EpochBudget, separate: Collection[str]
+    new: Epoch,
+    previous: Epoch,
+    difference: Difference,
+    budget: EpochBudget,
+    separate: Collection[str],
 ) -> F64:
     """What the variances (2,) m⁶ of cut and of fill differ from first order, since what a whole
     survey shares lifts the surfaces off each other.
@@ -183,13 +187,14 @@ def shared_shift_variances(
     net volume's budget has acts everywhere alike; the rest acts on some parts upwards and on as
     many downwards.
     """
-    tin = apart.tin
+    tin = difference.tin
     t = tin.triangles[tin.relevant]
     at = np.unique(t).astype(np.int64)
-    own, other = (new, previous) if apart.upper_carries else (previous, new)
+    own, other = (new, previous) if difference.upper_carries else (previous, new)
     cross = calibration_cross(new, previous, separate)
+    cross = cross if difference.upper_carries else cross.T
     tau = np.zeros(len(tin.vertices))
-    tau[at] = shared_sigma(own, other, apart, at, cross if apart.upper_carries else cross.T)[at]
+    tau[at] = shared_sigma(own, other, difference, at, cross)[at]
     area, height = footprint_areas(tin.vertices, t), tin.vertices[:, 2]
     whole = float(area @ tau[t].mean(axis=1))
     shared = sum(v for name, v in budget.lines.items() if name not in NOISE)

@@ -85,14 +85,15 @@ def epoch_difference(
     return found_out, apart
 
 
-def change_centroid(apart: Difference, heights: F64) -> tuple[float, float, float]:
+def change_centroid(difference: Difference, heights: F64) -> tuple[float, float, float]:
     """Mean place (x, y, z) m of the change, either way, on the surface with vertex heights (n,)."""
-    t = apart.tin.triangles[apart.tin.relevant]
+    t = difference.tin.triangles[difference.tin.relevant]
     weight = (
-        footprint_areas(apart.tin.vertices, t) * np.abs(apart.tin.vertices[t, 2].mean(axis=1))
+        footprint_areas(difference.tin.vertices, t)
+        * np.abs(difference.tin.vertices[t, 2].mean(axis=1))
         + 1e-300
     )
-    x, y = (weight @ apart.tin.vertices[t, :2].mean(axis=1)) / weight.sum()
+    x, y = (weight @ difference.tin.vertices[t, :2].mean(axis=1)) / weight.sum()
     return float(x), float(y), float(weight @ heights[t].mean(axis=1) / weight.sum())
 
 
@@ -100,12 +101,12 @@ def as_volume(
     new: Epoch,
     previous: Epoch,
     found: VolumesBetween,
-    apart: Difference,
+    difference: Difference,
     budget: EpochBudget,
     parts: CutAndFill,
 ) -> Volume:
     """The difference as a volume whose base is the epoch before."""
-    p, tin = new.sources.parameters.volume, apart.tin
+    p, tin = new.sources.parameters.volume, difference.tin
     return Volume(
         found.net_m3,
         budget.sigma,
@@ -116,7 +117,9 @@ def as_volume(
         found.area_m2,
         BASE,
         False,
-        change_centroid(apart, (new if apart.upper_carries else previous).tin.vertices[:, 2]),
+        change_centroid(
+            difference, (new if difference.upper_carries else previous).tin.vertices[:, 2]
+        ),
         budget.lines,
         budget.sigma_tau_range,
         budget.sigma_naive,

@@ -65,7 +65,7 @@ class StableGround:
 def stable_ground(
     new: Epoch,
     previous: Epoch,
-    apart: Difference,
+    difference: Difference,
     change: ChangeMap,
     separate: Collection[str] = (),
     named: F64 | None = None,
@@ -99,7 +99,7 @@ def stable_ground(
         )
     weight = weight / sum_m2
     offset = float(weight[chosen] @ change.difference_m[chosen])
-    sigma = weighted_sigma(new, previous, apart, weight, separate)
+    sigma = weighted_sigma(new, previous, difference, weight, separate)
     return StableGround(offset, sigma, sum_m2 / total, named is not None, overlap, total)
 
 

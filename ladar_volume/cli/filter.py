@@ -114,7 +114,7 @@ def write_points(
         r,
         {**{name: c[index] for name, c in kept.items()}, **columns},
         names or None,
-        like=cloud,
+        template=cloud,
     )
     return lost
 

@@ -147,7 +147,7 @@ def write_cleaned(
     kept, lost = carried_columns(cloud, path, ["index"])
     r = surface.points if frame is None else frame.points_to_map(surface.points)
     columns = {name: values[surface.index] for name, values in kept.items()}
-    write_cloud(path, r, {**columns, "index": cloud.rows[surface.index]}, like=cloud)
+    write_cloud(path, r, {**columns, "index": cloud.rows[surface.index]}, template=cloud)
     return {"path": path.name, "points": len(r), "columns_lost": lost}
 
 

@@ -75,15 +75,15 @@ def wide(tin: Tin, area: F64) -> float:
 
 
 def between_points(
-    surface: CloudSurface, inside: F64, height: F64, untold: Bool | None = None
+    surface: CloudSurface, inside: F64, height: F64, unknown: Bool | None = None
 ) -> BetweenPoints:
     """What lies between the points of a surface within an outline; ``inside`` (m,) m² is the area
-    of each triangle in it, height (n,) m that of the vertices above the base · untold : (m,)
+    of each triangle in it, height (n,) m that of the vertices above the base · unknown : (m,)
     triangles whose gaps nothing else tells of, None for all. Steps and curvature are 0 where the
     points are too few to tell.
     """
     tin = surface.representation.tin
-    counts = inside if untold is None else np.where(untold, inside, 0.0)
+    counts = inside if unknown is None else np.where(unknown, inside, 0.0)
     hidden = bridged_deviation(surface, counts, height)
     spacing, own = spacings(tin.vertices[:, :2]), along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)

@@ -294,11 +294,11 @@ def near_difference(
     )
 
 
-def lower_base(parameters: Parameters, by_m: float) -> Parameters:
+def lower_base(parameters: Parameters, lower_m: float) -> Parameters:
     """The parameters with the level or the given plane lower by so much."""
     v = parameters.volume
-    plane = (v.plane[0] - by_m, *v.plane[1:])
-    volume = dataclasses.replace(v, level_m=v.level_m - by_m, plane=plane)
+    plane = (v.plane[0] - lower_m, *v.plane[1:])
+    volume = dataclasses.replace(v, level_m=v.level_m - lower_m, plane=plane)
     return dataclasses.replace(parameters, volume=volume)
 
 

@@ -101,67 +101,67 @@ def _result(
     local: F64,
     origin: F64,
     tuned: Tuning,
-    done: Projection,
+    projection: Projection,
     sparse: Sparse,
     factor: float,
     steps: F64,
 ) -> CloudResult:
     """What became of each point, and the report."""
-    stays = (done.reason == cell_surface.KEPT) | sparse.stays
+    stays = (projection.reason == cell_surface.KEPT) | sparse.stays
     index, outliers = np.flatnonzero(stays), np.flatnonzero(~stays)
     flag = sparse.stays[index]
-    flags = np.where(flag, np.where(done.reason[index] == CLUTTER, 2, 1), 0)
-    report = {**tuned.report(factor), **_counts(done, index, outliers)}
+    flags = np.where(flag, np.where(projection.reason[index] == CLUTTER, 2, 1), 0)
+    report = {**tuned.report(factor), **_counts(projection, index, outliers)}
     if tuned.lines is not None or flag.any():
         report["sparse"] = int(np.count_nonzero(flags == 1))
     if steps.any():
         report["rounded_to_m"] = float(steps.max())
     noise = factor * tuned.regions.sigma_m[index]
-    reach = tuned.regions.ball_m[done.level[index]]
-    rounding = shared_rounding(done.normal[index], steps, noise, reach)
-    sigma = np.sqrt(factor**2 * done.variance[index] + rounding)
+    reach = tuned.regions.ball_m[projection.level[index]]
+    rounding = shared_rounding(projection.normal[index], steps, noise, reach)
+    sigma = np.sqrt(factor**2 * projection.variance[index] + rounding)
     return CloudResult(
-        np.where(flag[:, None], local[index], done.q[index]) + origin,
+        np.where(flag[:, None], local[index], projection.q[index]) + origin,
         index,
-        np.where(flag[:, None], sparse.normal[index], done.normal[index]),
+        np.where(flag[:, None], sparse.normal[index], projection.normal[index]),
         np.where(flag, sparse.sigma_m[index], sigma),
         outliers,
-        done.reason[outliers].astype(np.int64),
+        projection.reason[outliers].astype(np.int64),
         report,
         noise=np.where(flag, sparse.sigma_m[index], noise),
         reach=np.where(flag, sparse.reach_m, reach),
-        curved=(done.kind[index] == -1) & ~flag,
+        curved=(projection.kind[index] == -1) & ~flag,
         flag=flags if flag.any() else None,
         verdict=doubts(report, tuned.noise_known),
     )
 
 
-def _counts(done: Projection, index: I64, outliers: I64) -> dict[str, int]:
+def _counts(projection: Projection, index: I64, outliers: I64) -> dict[str, int]:
     """How many points, and where they went."""
     return {
         "points": len(index) + len(outliers),
         "kept": len(index),
-        "cells": done.cells,
-        "on_quadrics": int(np.count_nonzero(done.kind == -1)),
-        "on_planes": int(np.count_nonzero(done.kind == 1)),
-        "on_sharp": int(np.count_nonzero(done.kind > 1)),
+        "cells": projection.cells,
+        "on_quadrics": int(np.count_nonzero(projection.kind == -1)),
+        "on_planes": int(np.count_nonzero(projection.kind == 1)),
+        "on_sharp": int(np.count_nonzero(projection.kind > 1)),
         **{
-            name: int(np.count_nonzero(done.reason[outliers] == number))
+            name: int(np.count_nonzero(projection.reason[outliers] == number))
             for number, name in enumerate(REASONS[1:], 1)
         },
     }
 
 
-def judge(r: F64, done: Projection, regions: Regions) -> float:
+def judge(r: F64, projection: Projection, regions: Regions) -> float:
     """A second look at self-set parameters, once there are surfaces, at points (n, 3): names in
     ``done.reason`` those whose surface is hardly known where they are, and those beyond the
     threshold that the noise about all surfaces gives. Returns that noise over the one the filter
     began with, which edges and curvature raise and few samples scatter by some per cent.
     """
-    kept = np.flatnonzero(done.reason == cell_surface.KEPT)
+    kept = np.flatnonzero(projection.reason == cell_surface.KEPT)
     sigma = regions.sigma_m[kept]
-    square = np.sum((done.q[kept] - r[kept]) ** 2, axis=1) / sigma**2
-    share = done.variance[kept] / sigma**2
+    square = np.sum((projection.q[kept] - r[kept]) ** 2, axis=1) / sigma**2
+    share = projection.variance[kept] / sigma**2
     sure = share < SURE**2
     # a residual's own variance is that of the noise less that of the surface, which followed it
     # summed exactly: the order of the points must not show
@@ -172,6 +172,6 @@ def judge(r: F64, done: Projection, regions: Regions) -> float:
     )
     factor = min(max(factor, NARROWER), WIDER)
     limit = np.minimum(factor, 1.0) * regions.threshold_m[kept] / sigma
-    done.reason[kept[share > KNOWN**2]] = cell_surface.UNSUPPORTED
-    done.reason[kept[square > limit**2]] = cell_surface.OUTLIER
+    projection.reason[kept[share > KNOWN**2]] = cell_surface.UNSUPPORTED
+    projection.reason[kept[square > limit**2]] = cell_surface.OUTLIER
     return factor

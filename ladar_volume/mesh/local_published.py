@@ -202,7 +202,7 @@ def remove_false(triangles: I32) -> I32:
 
 
 @kernel
-def remove_most_neighbours(edge: I64, uses: I64, of: I64, start: I64, alive: Bool) -> None:
+def remove_most_neighbours(edge: I64, uses: I64, of: I64, start: I64, remaining: Bool) -> None:
     """The loop of :func:`remove_false`: edges (m, 3) of triangles, triangles ``of`` each edge from
     ``start`` on.
     """
@@ -213,12 +213,12 @@ def remove_most_neighbours(edge: I64, uses: I64, of: I64, start: I64, alive: Boo
         t = int(np.argmax(near))
         if near[t] <= 3:
             return
-        alive[t], near[t] = False, -1
+        remaining[t], near[t] = False, -1
         for k in range(3):
             e = edge[t, k]
             uses[e] -= 1
             for o in of[start[e] : start[e + 1]]:
-                if alive[o]:
+                if remaining[o]:
                     near[o] -= 1
 
 

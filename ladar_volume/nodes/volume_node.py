@@ -434,7 +434,7 @@ class VolumeNode(StageNode):
         with self._lock:
             estimate = self._compute()
             if self._closed is not None:
-                self._closed.begin(estimate, self.parameters, at_once=True)
+                self._closed.begin(estimate, self.parameters, immediately=True)
 
     def _answer(self) -> dict[str, Any]:
         return self._result()[1]

@@ -90,24 +90,24 @@ def pile_with_verdict(
     part: PilePart,
     task: SiteTask,
     parameters: Parameters,
-    asked: RequestedBase,
+    requested: RequestedBase,
     reference: Plane | None,
     ground: Made,
 ) -> tuple[CloudVolume, Verdict]:
     """The volume with what lies between its points, and its verdict."""
     same = task.base in PILE_BASES
-    volume = corrected_volume(asked.solid, task.words, same)
+    volume = corrected_volume(requested.solid, task.words, same)
     if task.base == "second":
         return pair_with_verdict(site, part, task, volume)
     surface, inside = site.surface, part.inside_m2
     volume, verdict = volume_with_verdict(
-        volume, surface, inside, asked.readings, parameters, reference
+        volume, surface, inside, requested.readings, parameters, reference
     )
     if not same or not isinstance(ground, Plane):
         return volume, verdict
     doubts: list[Doubt] = []
     rise, mask = parameters.volume.object_height_m, inside > 0
-    if asked.readings is None:
+    if requested.readings is None:
         volume, doubts = with_growth(volume, surface, ground, inside, rise)
     doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
     faces = faces_around(surface, ground, inside, rise)

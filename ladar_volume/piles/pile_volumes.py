@@ -155,9 +155,9 @@ def net_above(part: PilePart, base: Made, rough: Roughness | None = None) -> Net
 def volumes_above_bases(
     part: PilePart,
     nets: Mapping[str, Net | LadarVolumeError],
-    asked: CloudVolume,
+    requested: CloudVolume,
 ) -> dict[str, VolumeAboveBase]:
-    """The volumes above every base, ``asked`` for the one that is not among the nets, with the
+    """The volumes above every base, ``requested`` for the one that is not among the nets, with the
     standard deviations of their noise and of what heights share; what lies between the points is
     taken from the volume that was asked for.
     """
@@ -165,12 +165,12 @@ def volumes_above_bases(
     columns = np.column_stack([net.gradient for net in known.values()] or [part.by_height])
     variance = part.surface.variance(columns)
     variance = variance + sum(part.surface.shared_lines(columns).values())
-    between = sum(asked.budget_m6.get(name, 0.0) for name in PLACES)
+    between = sum(requested.budget_m6.get(name, 0.0) for name in PLACES)
     out = {}
     for name in PILE_BASES:
         net = nets.get(name)
         if net is None:
-            out[name] = VolumeAboveBase(asked.net_m3, asked.sigma_m3)
+            out[name] = VolumeAboveBase(requested.net_m3, requested.sigma_m3)
         elif isinstance(net, LadarVolumeError):
             out[name] = VolumeAboveBase(math.nan, math.nan, str(net))
         else:

@@ -86,20 +86,20 @@ def candidates(points: F64, radius: float | None, seed: int) -> F64:
 
 
 def start_sphere(
-    points: F64, sigma: F64 | None, radius: float | None, seed: int, behind: F64 | None = None
+    points: F64, sigma: F64 | None, radius: float | None, seed: int, scanner: F64 | None = None
 ) -> tuple[F64, float]:
     """The best candidate (4,) and a robust sigma, m, of its residuals.
 
     points : (n, 3) m · sigma : (n,) m, noise along the normal, None where not known · radius : m,
-    None where free · behind : (3,), the instrument: only spheres whose centre lies beyond their
+    None where free · scanner : (3,), the instrument: only spheres whose centre lies beyond their
     points as seen from there count. Raises :class:`RegistrationError` where no sample gives a
     sphere.
     """
     step = max(1, len(points) // SCORED_POINTS)
     p = points[::step]
     found = candidates(points, radius, seed)
-    if behind is not None:
-        sight = p.mean(axis=0) - behind
+    if scanner is not None:
+        sight = p.mean(axis=0) - scanner
         found = found[((found[:, :3] - p.mean(axis=0)) @ sight) > 0.0]
     found = found[np.isfinite(found).all(axis=1)]
     if len(found) == 0:

@@ -23,8 +23,8 @@ from ladar_volume.report.plates import (
 from ladar_volume.report.scene import Scene, base_of_plane
 
 
-def draw(estimate: Estimate, title: str, where: str = "") -> Figure:
-    """A figure with three panels; no window. ``where`` : the coordinate system in words."""
+def draw(estimate: Estimate, title: str, system: str = "") -> Figure:
+    """A figure with three panels; no window. ``system`` : the coordinate system in words."""
     v, tin = estimate.volume, estimate.tin
     scene = Scene(
         tin=tin,
@@ -34,7 +34,7 @@ def draw(estimate: Estimate, title: str, where: str = "") -> Figure:
         outlines=[body.outline for body in estimate.bodies or (v,)],
         base_at=base_of_plane(estimate.base),
         base=v.base,
-        where=where,
+        where=system,
     )
     with mpl.rc_context(STYLE):
         figure = new_figure(15.0, 5.2)
@@ -44,11 +44,11 @@ def draw(estimate: Estimate, title: str, where: str = "") -> Figure:
         draw_budget(bars, v.budget_m6)
         words = f"V = {v.volume_m3:.2f} ± {v.sigma_m3:.2f} m³ (1 sigma), above the {v.base}"
         figure.suptitle(f"{title}: {words}", fontsize=12)
-        figure.supxlabel(where, fontsize=8)
+        figure.supxlabel(system, fontsize=8)
     return figure
 
 
-def save(estimate: Estimate, title: str, path: Path, where: str = "") -> None:
+def save(estimate: Estimate, title: str, path: Path, system: str = "") -> None:
     """Write the figure as PNG. Raises OutputError."""
     with mpl.rc_context(STYLE):
-        save_figure(draw(estimate, title, where), path)
+        save_figure(draw(estimate, title, system), path)

@@ -248,13 +248,13 @@ def flat_top_shadow(d: SceneDraft) -> None:
     d.flight = one_pass(2.0 * d.pile.a + AROUND_M, far, high)
 
 
-def one_pass(long: float, aside: float, high: float) -> Platform:
+def one_pass(long: float, offset_m: float, high: float) -> Platform:
     """A straight pass of a length (m) so far beside the middle, and so high."""
     along = lanes(long, high, DURATION_S)
 
     def position(t: F64) -> F64:
         s = np.clip(t / DURATION_S, -0.1, 1.1) - 0.5
-        return np.column_stack([s * long, np.full(len(t), -aside), high + 0.2 * np.sin(0.9 * t)])
+        return np.column_stack([s * long, np.full(len(t), -offset_m), high + 0.2 * np.sin(0.9 * t)])
 
     def angles(t: F64) -> F64:
         sway = np.radians(1.0) * np.sin(2.3 * t)

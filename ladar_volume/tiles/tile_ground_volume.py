@@ -55,11 +55,11 @@ def inside_of(surface: TileSurface, tile: Tile, folder: Path | None) -> Bool:
     return surface.tin.relevant if folder is None else read(folder, "inside", tile)
 
 
-def ground_sums(of: TiledCloud, tile: Tile, asked: Above) -> GroundSums:
+def ground_sums(of: TiledCloud, tile: Tile, above: Above) -> GroundSums:
     """The sums of a tile."""
-    surface, base = surface_of(of.index, of.limits, tile), asked.base
+    surface, base = surface_of(of.index, of.limits, tile), above.base
     tin = surface.tin
-    inside = inside_of(surface, tile, asked.folder)
+    inside = inside_of(surface, tile, above.folder)
     counted, n = inside & surface.counted, len(base.beta)
     cut = fill = area = near = 0.0
     by_beta, box = np.zeros((n, 2)), np.array([np.inf, np.inf, -np.inf, -np.inf])
@@ -70,7 +70,7 @@ def ground_sums(of: TiledCloud, tile: Tile, asked: Above) -> GroundSums:
         t = tin.triangles[counted]
         xy = tin.vertices[t, :2].reshape(-1, 2)
         box = np.concatenate([xy.min(axis=0), xy.max(axis=0)])
-        variance = asked.sigma_m**2 / surface.shared
+        variance = above.sigma_m**2 / surface.shared
         close = near_triangles(t, height_above(tin.vertices, base), variance)
         near = float(footprint_areas(tin.vertices, t)[close].sum())
     if inside.any():
@@ -101,13 +101,13 @@ def gradients(surface: TileSurface, base: Plane, inside: Bool) -> F64:
     return np.stack(both, axis=1)
 
 
-def squares(of: TiledCloud, tile: Tile, asked: Above, chosen: VertexSelection, by_sums: F64) -> F64:
+def squares(of: TiledCloud, tile: Tile, above: Above, chosen: VertexSelection, by_sums: F64) -> F64:
     """Sums of the squared derivatives of net, cut and fill by the heights of the tile's points (3,)
     m⁴: through the surface, and through the ground. by_sums : (p, 2) derivatives of net and cut by
     the sums ``Xᵀz``
     """
     surface = surface_of(of.index, of.limits, tile)
-    g = gradients(surface, asked.base, inside_of(surface, tile, asked.folder))
+    g = gradients(surface, above.base, inside_of(surface, tile, above.folder))
     some, weight = support_of(of, tile, surface, chosen, by_sums)
     g[some] += weight
     columns = np.c_[g, g[:, 1] - g[:, 0]]
@@ -165,18 +165,18 @@ class Squares:
 
 
 def field_grid(
-    of: TiledCloud, tile: Tile, asked: Above, chosen: VertexSelection, by_sums: F64, grid: Squares
+    of: TiledCloud, tile: Tile, above: Above, chosen: VertexSelection, by_sums: F64, grid: Squares
 ) -> F64:
     """Weights, m², with which the deviation of the ground enters the volume, by squares: at the
     points of the ground, and with the area inside the outline.
     """
     xyz, _, row = vertices(of, tile, chosen.ring)
     xy = np.ascontiguousarray(xyz[chosen.mask(xyz, row), :2])
-    w = design(xy, asked.base.origin_xy, degree_of(asked.base)) @ by_sums
+    w = design(xy, above.base.origin_xy, degree_of(above.base)) @ by_sums
     out = np.asarray(squares_grid(xy, w, grid.low, grid.side, grid.shape))
     surface = surface_of(of.index, of.limits, tile)
     tin = surface.tin
-    counted = inside_of(surface, tile, asked.folder) & surface.counted
+    counted = inside_of(surface, tile, above.folder) & surface.counted
     area = np.where(counted, footprint_areas(tin.vertices, tin.triangles), 0.0)
     spread_kernel(tin.vertices, tin.triangles, area, grid.low, grid.side, out)
     return out

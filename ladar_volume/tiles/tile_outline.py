@@ -115,11 +115,11 @@ def body(of: TiledCloud, tile: Tile, folder: Path, chosen: Bool) -> Box | None:
 
 
 def near_stored_places(
-    xy: F64, folder: Path, name: str, beside: Sequence[Tile], distance_m: float
+    xy: F64, folder: Path, name: str, neighbours: Sequence[Tile], distance_m: float
 ) -> Bool:
     """Which of the places (k, 2) lie within a distance of one at rest of the tiles beside."""
     out = np.zeros(len(xy), np.bool_)
-    for tile in beside:
+    for tile in neighbours:
         some = read(folder, name, tile)
         left = np.flatnonzero(~out)
         if len(left) == 0:
@@ -135,7 +135,12 @@ def near_stored_places(
 
 
 def grow(
-    of: TiledCloud, tile: Tile, folder: Path, chosen: Bool, beside: Sequence[Tile], margin_m: float
+    of: TiledCloud,
+    tile: Tile,
+    folder: Path,
+    chosen: Bool,
+    neighbours: Sequence[Tile],
+    margin_m: float,
 ) -> TileParts:
     """The chosen parts with the triangles that count within a margin, at rest; and the parts of
     the other triangles, whose totals tell which lead to the edge of what counts.
@@ -143,7 +148,7 @@ def grow(
     surface = surface_of(of.index, of.limits, tile)
     tin = surface.tin
     mask = chosen_parts(read(folder, "rising", tile), chosen)
-    close = near_stored_places(tin.vertices[:, :2], folder, "body", beside, margin_m)
+    close = near_stored_places(tin.vertices[:, :2], folder, "body", neighbours, margin_m)
     grown = tin.relevant & (mask | any_corner(tin.triangles, close))
     label = np.asarray(parts_kernel(tin.neighbours, ~grown))
     leads = (label >= 0) & (~tin.relevant | (tin.neighbours == -1).any(axis=1))
@@ -167,7 +172,7 @@ def fill(of: TiledCloud, tile: Tile, folder: Path, holes: Bool) -> tuple[Box | N
 
 
 def ring_vertices(
-    of: TiledCloud, tile: Tile, folder: Path, beside: Sequence[Tile], ring_m: float
+    of: TiledCloud, tile: Tile, folder: Path, neighbours: Sequence[Tile], ring_m: float
 ) -> int:
     """Which of the tile's vertices that count lie around the outline, at rest; returns how many."""
     surface = surface_of(of.index, of.limits, tile)
@@ -175,7 +180,7 @@ def ring_vertices(
     around = ~vertex_mask(tin, read(folder, "inside", tile))[surface.used]
     if ring_m > 0:
         xy = tin.vertices[surface.used, :2][around]
-        around[around] = near_stored_places(xy, folder, "outline", beside, ring_m)
+        around[around] = near_stored_places(xy, folder, "outline", neighbours, ring_m)
     write(folder, "ring", tile, around)
     return int(np.count_nonzero(around))
 

@@ -277,7 +277,9 @@ class VolumeEstimator:
         return base, (base, *grounds[1:])
 
 
-def joint_covariance(variance: list[float], of_two: Callable[[int, int], float]) -> F64 | None:
+def joint_covariance(
+    variance: list[float], pair_variance: Callable[[int, int], float]
+) -> F64 | None:
     """Covariance (k, k) m⁶ of k volumes from the variances of each and of any two together: every
     source is a quadratic form, so ``2 C_ab = Var(a + b) − Var(a) − Var(b)``. None for one volume,
     and for more than eight.
@@ -288,5 +290,5 @@ def joint_covariance(variance: list[float], of_two: Callable[[int, int], float])
     C = np.diag(np.asarray(variance, dtype=np.float64))
     for a in range(k):
         for b in range(a):
-            C[a, b] = C[b, a] = 0.5 * (of_two(a, b) - variance[a] - variance[b])
+            C[a, b] = C[b, a] = 0.5 * (pair_variance(a, b) - variance[a] - variance[b])
     return C

@@ -98,9 +98,9 @@ def test_points_that_nobody_moved_come_back_on_their_lattice(kind, tmp_path):
     cloud = read_cloud(source)
     if kind == 10:
         with pytest.raises(OutputError, match=r"write \.las"):
-            write_cloud(tmp_path / "out.laz", cloud.r, cloud.columns, like=cloud)
+            write_cloud(tmp_path / "out.laz", cloud.r, cloud.columns, template=cloud)
     ending = ".las" if kind == 10 else ".laz"
-    write_cloud(tmp_path / f"out{ending}", cloud.r, cloud.columns, like=cloud)
+    write_cloud(tmp_path / f"out{ending}", cloud.r, cloud.columns, template=cloud)
     back = read_cloud(tmp_path / f"out{ending}")
     assert np.array_equal(np.round(back.r, 6), np.round(cloud.r, 6))
     assert back.columns.keys() == cloud.columns.keys()
@@ -120,9 +120,9 @@ def test_attributes_through_any_format(kind, ending, seed, tmp_path_factory):
     cloud = read_cloud(full_las(folder / "in.laz", kind, 30, seed))
     names = {n: n.replace(" ", "_") for n in cloud.columns}
     columns = {names[n]: c for n, c in cloud.columns.items() if c.ndim == 1 and n not in WAVES}
-    write_cloud(folder / f"mid{ending}", cloud.r, columns, like=cloud)
+    write_cloud(folder / f"mid{ending}", cloud.r, columns, template=cloud)
     middle = read_cloud(folder / f"mid{ending}")
-    write_cloud(folder / "out.laz", middle.r, middle.columns, like=middle)
+    write_cloud(folder / "out.laz", middle.r, middle.columns, template=middle)
     back = read_cloud(folder / "out.laz")
     for name, column in columns.items():
         assert np.array_equal(back.columns[name], column), name

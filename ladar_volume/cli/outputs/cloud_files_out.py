@@ -68,23 +68,26 @@ def system_of_files(arguments: argparse.Namespace, sources: Sequence[Source]) ->
 
 def write_files(
     arguments: argparse.Namespace,
-    wanted: ExportRequest,
+    request: ExportRequest,
     sources: Sequence[Source],
     result: ExportableResult,
 ) -> ExportedFiles:
     """Write the files. Raises OutputError."""
     system = system_of_files(arguments, sources)
-    return write_export(arguments.output, deliverable(wanted, sources, result, system), wanted)
+    return write_export(arguments.output, deliverable(request, sources, result, system), request)
 
 
 def deliverable(
-    wanted: ExportRequest, sources: Sequence[Source], result: ExportableResult, system: OutputSystem
+    request: ExportRequest,
+    sources: Sequence[Source],
+    result: ExportableResult,
+    system: OutputSystem,
 ) -> Deliverable:
     """The result as what files hold."""
     surface, tin = result.surfaces[0], result.surfaces[0].representation.tin
     base = None if result.base is None else base_height(result.base, tin.vertices[:, :2])
     covariance = None
-    if surface.sigma_m is not None and set(wanted.formats) & set(OF_SURFACE):
+    if surface.sigma_m is not None and set(request.formats) & set(OF_SURFACE):
         covariance = surface.representation.covariance(surface.sigma_m)
     # of two surfaces no one base makes the volume between them
     alone = len(result.surfaces) == 1

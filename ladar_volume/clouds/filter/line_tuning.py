@@ -90,11 +90,11 @@ def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Nois
     return point_noise(each, where, whole), where
 
 
-def point_noise(each: F64, where: NoiseSites, whole: float) -> F64:
+def point_noise(each: F64, sites: NoiseSites, whole: float) -> F64:
     """Noise (n,) m of points from that of places (s,): the median of those next to it that are
     surfaces, and the cloud's where none is.
     """
-    near = np.where(each < CLUTTER * whole, each, np.nan)[where.of]
+    near = np.where(each < CLUTTER * whole, each, np.nan)[sites.of]
     near[~np.isfinite(near).any(axis=1)] = whole
     return np.asarray(np.maximum(np.nanmedian(near, axis=1), QUIET * whole))
 
@@ -115,19 +115,19 @@ def line_regions(r: F64, lines: Lines, sigma: F64, threshold: F64) -> Regions:
     return Regions(balls, level, least, sigma, threshold, ACROSS)
 
 
-def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: NoiseSites) -> F64:
+def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, sites: NoiseSites) -> F64:
     """Noise (s,) m of places from residuals about surfaces.
 
     distance : (n,) m, of points from their surfaces · share : (n,) variance of the surface there
     over that of the noise · found : (n,) whether there is one · sigma : (n,) m, noise believed.
     """
-    inside = (where.near >= 0) & found[where.near]
+    inside = (sites.near >= 0) & found[sites.near]
     d = np.where(
-        inside, distance[where.near] / np.sqrt(1.0 - np.minimum(share, 0.5))[where.near], np.nan
+        inside, distance[sites.near] / np.sqrt(1.0 - np.minimum(share, 0.5))[sites.near], np.nan
     )
     enough = inside.sum(axis=1) >= FEWEST
     d[~enough] = 0.0
-    each = np.maximum(1.4826 * np.nanmedian(d, axis=1), FROM * sigma[where.at])
+    each = np.maximum(1.4826 * np.nanmedian(d, axis=1), FROM * sigma[sites.at])
     for _ in range(ROUNDS):
         cut = np.where(d <= CUT * each[:, None], d, np.nan)
         each = np.sqrt(np.nanmean(cut**2, axis=1) / MISSED)
@@ -135,7 +135,7 @@ def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: Noi
     return np.asarray(np.where(enough, each, np.nan))
 
 
-def residuals(r: F64, done: Projection, kept: int, outlier: int) -> tuple[F64, Bool]:
+def residuals(r: F64, projection: Projection, kept: int, outlier: int) -> tuple[F64, Bool]:
     """Distances (n,) m of points from their surfaces, and which (n,) have one."""
-    found = (done.reason == kept) | (done.reason == outlier)
-    return np.linalg.norm(done.q - r, axis=1), found
+    found = (projection.reason == kept) | (projection.reason == outlier)
+    return np.linalg.norm(projection.q - r, axis=1), found

@@ -178,7 +178,7 @@ def quadric_from(
     n: int,
     origin: F64,
     start: F64,
-    loose: float,
+    start_m: float,
     rule: QuadricRule,
     levels: int,
     quadric: Quadric,
@@ -186,7 +186,7 @@ def quadric_from(
     """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns
     the number of inliers.
 
-    ``loose``: how far the points may lie from the start plane; what counts as an inlier shrinks
+    ``start_m``: how far the points may lie from the start plane; what counts as an inlier shrinks
     from there to the threshold, as fast as the quadric explains the points, so that a surface may
     bend by more than the threshold within the neighbourhood.
     """
@@ -194,17 +194,17 @@ def quadric_from(
     near, index, inside = np.empty((4, n)), np.empty(n, np.int64), np.empty(n, np.bool_)
     plane, frame = start.copy(), Frame(centre, normal, tangent)
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
-    loose = max(loose, rule.threshold)
+    start_m = max(start_m, rule.threshold)
     few = min(rule.iterations, STEPS)  # a start; the fixed point is sought with right distances
-    refitting, hood = RefitRule(rule.ball, 0.0, loose, few), Near(near, index, inside)
+    refitting, hood = RefitRule(rule.ball, 0.0, start_m, few), Near(near, index, inside)
     if level_frame(pts, n, origin, plane, rule.sigma, refitting, hood, frame) < 0.0:
         return 0
     m = frame_coordinates(pts, n, centre, normal, tangent, rule.ball, near, index)
-    mark_flat(near, m, loose, inside)
+    mark_flat(near, m, start_m, inside)
     used, _ = refit(near, m, 6, rule.sigma, refitting, inside, Terms(beta, inverse))
     if used == 0:
         return 0
-    return shrink_to_threshold(pts, n, loose, rule, levels, quadric)
+    return shrink_to_threshold(pts, n, start_m, rule, levels, quadric)
 
 
 @kernel
@@ -222,9 +222,9 @@ def _touch(quadric: Quadric) -> None:
 
 @kernel
 def shrink_to_threshold(
-    pts: F64, n: int, loose: float, rule: QuadricRule, levels: int, quadric: Quadric
+    pts: F64, n: int, start_m: float, rule: QuadricRule, levels: int, quadric: Quadric
 ) -> Any:
-    """A quadric refitted to the points around it until ``loose`` is the threshold and its frame
+    """A quadric refitted to the points around it until ``start_m`` is the threshold and its frame
     touches it, ``levels`` frames at most; returns the number of inliers, 0 where it gets lost.
     """
     centre, normal, tangent, beta, inverse = quadric
@@ -233,16 +233,16 @@ def shrink_to_threshold(
     for level in range(levels + SHRINKS):
         m = frame_coordinates(pts, n, centre, normal, tangent, ball, near, index)
         used, square = geometric_refit(
-            near, m, ball, loose, min(rule.iterations, STEPS), sigma, beta, inverse
+            near, m, ball, start_m, min(rule.iterations, STEPS), sigma, beta, inverse
         )
-        if used == 0 or (loose == threshold and square > LOST * sigma * sigma):
+        if used == 0 or (start_m == threshold and square > LOST * sigma * sigma):
             return 0
         level_now = abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball <= 1e-3
-        if loose == threshold and (level_now or level + 1 >= levels):
+        if start_m == threshold and (level_now or level + 1 >= levels):
             break
-        loose = max(threshold, min(0.5 * loose, 3.0 * np.sqrt(square)))
+        start_m = max(threshold, min(0.5 * start_m, 3.0 * np.sqrt(square)))
         _touch(quadric)
-    return used if loose == threshold else 0
+    return used if start_m == threshold else 0
 
 
 @kernel

@@ -39,10 +39,10 @@ class Sparse:
 
 
 def classify_off_surface(
-    r: F64, done: Projection, tuned: Tuning, auto: bool, keep: frozenset[str]
+    r: F64, projection: Projection, tuned: Tuning, auto: bool, keep: frozenset[str]
 ) -> Sparse:
     """Tells apart what lies on no surface, in ``done.reason``; points (n, 3) m."""
-    reason, n = done.reason, len(r)
+    reason, n = projection.reason, len(r)
     stays = np.zeros(n, np.bool_)
     kept = reason == cell_surface.KEPT
     if auto and not tuned.noise_known:
@@ -51,9 +51,9 @@ def classify_off_surface(
         kept = own <= np.median(own)
         stays = kept | connected_to_known(r, kept, own, ~kept, JUMP)
     elif auto and kept.any():
-        stays = _on_neighbour_surface(r, done, tuned)
+        stays = _on_neighbour_surface(r, projection, tuned)
         if tuned.lines is not None:
-            stays |= _sparse_survey_points(r, done, tuned)
+            stays |= _sparse_survey_points(r, projection, tuned)
             stays |= kept & tuned.lines.remote  # a surface of few lines hides their noise
     leaves = ~stays & (reason == cell_surface.NO_SURFACE)
     if tuned.lines is not None:
@@ -82,9 +82,9 @@ def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuning) -> F64:
     return sigma
 
 
-def _sparse_survey_points(r: F64, done: Projection, tuned: Tuning) -> Bool:
+def _sparse_survey_points(r: F64, projection: Projection, tuned: Tuning) -> Bool:
     """Which points (n,) belong to the survey though they lie on no surface."""
-    reason = done.reason
+    reason = projection.reason
     kept = reason == cell_surface.KEPT
     off = reason == cell_surface.OUTLIER
     assert tuned.lines is not None
@@ -101,18 +101,20 @@ def _sparse_survey_points(r: F64, done: Projection, tuned: Tuning) -> Bool:
     return stays
 
 
-def _on_neighbour_surface(r: F64, done: Projection, tuned: Tuning) -> Bool:
+def _on_neighbour_surface(r: F64, projection: Projection, tuned: Tuning) -> Bool:
     """Which points (n,) whose cells found no surface lie on that of the points next to them."""
-    kept = np.flatnonzero(done.reason == cell_surface.KEPT)
-    open_ = np.flatnonzero(done.reason == cell_surface.NO_SURFACE)
+    kept = np.flatnonzero(projection.reason == cell_surface.KEPT)
+    open_ = np.flatnonzero(projection.reason == cell_surface.NO_SURFACE)
     out = np.zeros(len(r), np.bool_)
     if len(open_):
         k = min(LINE, len(kept))
         tree = cKDTree(r[kept], balanced_tree=False)
         distance, near = tree.query(r[open_], k=k, workers=-1)
         near, distance = kept[np.reshape(near, (-1, k))], np.reshape(distance, (-1, k))
-        off = np.abs(np.einsum("ski,ski->sk", r[open_, None] - done.q[near], done.normal[near]))
-        reach = tuned.regions.ball_m[done.level[near]]
+        off = np.abs(
+            np.einsum("ski,ski->sk", r[open_, None] - projection.q[near], projection.normal[near])
+        )
+        reach = tuned.regions.ball_m[projection.level[near]]
         fits = (off <= tuned.regions.threshold_m[near]) & (distance <= reach)
         out[open_] = fits.any(axis=1)
     return out

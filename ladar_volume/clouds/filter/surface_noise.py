@@ -77,12 +77,12 @@ def disagreement(one: Projection, two: Projection, variance: F64) -> F64:
     return np.asarray(np.where(both, 0.5 * np.maximum(square - 2.0 * variance, 0.0), 0.0))
 
 
-def _noise_of_surfaces(r: F64, tuned: Tuning, done: Projection, steps: F64) -> F64:
+def _noise_of_surfaces(r: F64, tuned: Tuning, projection: Projection, steps: F64) -> F64:
     """Noise (n,) m as the surfaces show it."""
     believed, where = tuned.regions.sigma_m, tuned.places
     assert where is not None
-    distance, found = residuals(r, done, cell_surface.KEPT, cell_surface.OUTLIER)
-    each = surface_noise(distance, done.variance / believed**2, found, believed, where)
+    distance, found = residuals(r, projection, cell_surface.KEPT, cell_surface.OUTLIER)
+    each = surface_noise(distance, projection.variance / believed**2, found, believed, where)
     if not np.isfinite(each).any():
         return believed
     floor = np.sqrt(np.mean(steps**2) / 12.0)

@@ -49,18 +49,18 @@ def check_packages(formats: Sequence[str]) -> None:
             importlib.import_module(FORMATS[name].needs)
 
 
-def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> ExportedFiles:
+def write_export(folder: Path, d: Deliverable, request: ExportRequest) -> ExportedFiles:
     """Write the files into a folder, all or none. Raises OutputError."""
-    names = [FORMATS[name].file for name in wanted.formats]
+    names = [FORMATS[name].file for name in request.formats]
     every = [kind.file for kind in FORMATS.values()]
     with output_set(folder, every) as part:
-        for name in wanted.formats:
-            writer(name, wanted)(part / FORMATS[name].file, d)
-    placed = {"geojson", "contours"} & set(wanted.formats)
+        for name in request.formats:
+            writer(name, request)(part / FORMATS[name].file, d)
+    placed = {"geojson", "contours"} & set(request.formats)
     return ExportedFiles(names, [d.positions.note] if placed and d.positions.note else [])
 
 
-def writer(name: str, wanted: ExportRequest) -> Callable[[Path, Deliverable], None]:
+def writer(name: str, request: ExportRequest) -> Callable[[Path, Deliverable], None]:
     """Who writes a format."""
     return {
         "json": write_json,
@@ -69,14 +69,14 @@ def writer(name: str, wanted: ExportRequest) -> Callable[[Path, Deliverable], No
         "laz": write_points,
         "copc": write_points,
         "ply": write_surface,
-        "tif": lambda path, d: write_tif(path, d, wanted.cell),
+        "tif": lambda path, d: write_tif(path, d, request.cell),
         "landxml": write_landxml,
         "dxf": write_dxf,
         "obj": write_obj,
         "stl": write_stl,
         "glb": write_glb,
         "geojson": write_outline,
-        "contours": lambda path, d: write_contours(path, d, wanted.interval),
+        "contours": lambda path, d: write_contours(path, d, request.interval),
     }[name]
 
 

@@ -48,13 +48,13 @@ class MavlinkStream:
         self._collected = bytearray()
         self.out = dialect.MAVLink(self, srcSystem=own_system, srcComponent=own_component)
 
-    def sign(self, key: bytes, now: int) -> None:
-        """From now on sign what goes out, and refuse what comes unsigned or wrongly signed. now :
-        in units of signatures.
+    def sign(self, key: bytes, now_10us: int) -> None:
+        """From now on sign what goes out, and refuse what comes unsigned or wrongly signed.
+        now_10us : in units of signatures.
         """
         for end in (self.incoming, self.out):
             end.signing.secret_key = key
-            end.signing.timestamp = max(end.signing.timestamp, now)
+            end.signing.timestamp = max(end.signing.timestamp, now_10us)
         self.out.signing.sign_outgoing = True
         # pymavlink takes over the time of a packet before it looks at the signature: a forged one
         # would shut out all that follow

@@ -142,7 +142,7 @@ def write_cloud(
     columns: Mapping[str, npt.NDArray[Any]] | None = None,
     names: Mapping[str, Sequence[str]] | None = None,
     encoding: str | None = None,
-    like: PointFile | None = None,
+    template: PointFile | None = None,
 ) -> None:
     """Write points (n, 3), m, and columns, (n,) or (n, count), as the kind of file its name ends
     in; whole, or not at all. There may be none: the file then holds its columns' names. COPC
@@ -150,7 +150,7 @@ def write_cloud(
 
     ``names`` gives words to the codes of an integer column: text and NPY hold the words, the others
     the codes, and the words in a comment (LAS: in a record). ``encoding`` chooses among
-    :data:`ENCODINGS`. ``like`` is the file that the points come from: its CRS and units are
+    :data:`ENCODINGS`. ``template`` is the file that the points come from: its CRS and units are
     written (not to CSV and NPY, which have no place for them), to LAS also its point format,
     offsets and records. LAS rounds coordinates to 0.1 mm; the others are lossless. Raises
     :class:`OutputError` for an unknown ending or encoding, columns that do not fit, and files that
@@ -166,21 +166,23 @@ def write_cloud(
     flat, comments = flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
     with atomic_file(path) as part:
         if ending in (".las", ".laz"):
-            _write_las(part, flat, comments, like)
+            _write_las(part, flat, comments, template)
         else:
-            notes = [] if like is None else like.coordinates.notes()
+            notes = [] if template is None else template.coordinates.notes()
             _writer(ending)(part, flat, [*notes, *comments], encoding)
 
 
-def _write_las(path: Path, columns: Columns, comments: list[str], like: PointFile | None) -> None:
+def _write_las(
+    path: Path, columns: Columns, comments: list[str], template: PointFile | None
+) -> None:
     from ladar_volume.io.pointfiles.las_write import is_copc, write_las
 
-    if like is None:
+    if template is None:
         write_las(path, columns, comments)
         return
-    at = like.coordinates
-    crs = at.crs_to_write(like.las, as_wkt=is_copc(path))
-    write_las(path, columns, comments, like.las, crs, at.are_metres)
+    at = template.coordinates
+    crs = at.crs_to_write(template.las, as_wkt=is_copc(path))
+    write_las(path, columns, comments, template.las, crs, at.are_metres)
 
 
 def check_output(path: str | Path) -> Path:

@@ -170,42 +170,48 @@ def reconcile(file: Coordinates | None, reading: Reading) -> Coordinates:
     return said
 
 
-def _with_crs(said: Coordinates, given: Coordinates) -> Coordinates:
-    if said.crs is not None and given.crs is not None:
-        for mine, theirs in zip(parts_of(said.crs), parts_of(given.crs), strict=True):
+def _with_crs(declared: Coordinates, given: Coordinates) -> Coordinates:
+    if declared.crs is not None and given.crs is not None:
+        for mine, theirs in zip(parts_of(declared.crs), parts_of(given.crs), strict=True):
             if mine is not None and theirs is not None and not same_crs(mine, theirs):
                 raise InputError(
-                    f"the header says {said.name}, --crs says {given.name}: which one holds?",
+                    f"the header says {declared.name}, --crs says {given.name}: which one holds?",
                     reason="input_crs",
-                    value=[said.name, given.name],
+                    value=[declared.name, given.name],
                 )
         # the option may add the vertical part that the header lacks
-        return said if parts_of(given.crs)[1] is None else replace(given, said_by="header, --crs")
+        return (
+            declared if parts_of(given.crs)[1] is None else replace(given, said_by="header, --crs")
+        )
     for unit, other, axes in (
-        (said.across, given.across, "x and y"),
-        (said.up, given.up, "z"),
+        (declared.across, given.across, "x and y"),
+        (declared.up, given.up, "z"),
     ):
         if unit is not None and (given.degrees and axes != "z"):
             raise _contradiction("the file", unit, "--crs", "degrees", axes)
         if unit is not None and other is not None and not unit.equals(other):
             raise _contradiction("the file", unit, "--crs", other, axes)
-    if said.degrees and not given.degrees:
+    if declared.degrees and not given.degrees:
         raise _contradiction("the file", "degrees", "--crs", given.across or METRE, "x and y")
-    return replace(given, up=given.up or said.up, heights=given.heights or said.heights)
+    return replace(given, up=given.up or declared.up, heights=given.heights or declared.heights)
 
 
-def _with_units(said: Coordinates, across: Unit, up: Unit) -> Coordinates:
-    who = "--crs" if said.said_by == "--crs" else "the header"
-    if said.degrees:
+def _with_units(declared: Coordinates, across: Unit, up: Unit) -> Coordinates:
+    who = "--crs" if declared.said_by == "--crs" else "the header"
+    if declared.degrees:
         raise _contradiction(who, "degrees", "--units", across, "x and y")
-    if said.across is not None and not said.across.equals(across) and said.conflict is None:
-        raise _contradiction(who, said.across, "--units", across, "x and y")
-    if said.up is not None and not said.up.equals(up):
-        raise _contradiction(who, said.up, "--units", up, "z")
-    if said.conflict is not None and across.name not in said.conflict:
-        raise InputError(f"{said.conflict}, --units says {across}", reason="input_units")
-    source = said.said_by if said.across is not None else "--units"
-    return replace(said, across=across, up=up, said_by=source, conflict=None)
+    if (
+        declared.across is not None
+        and not declared.across.equals(across)
+        and declared.conflict is None
+    ):
+        raise _contradiction(who, declared.across, "--units", across, "x and y")
+    if declared.up is not None and not declared.up.equals(up):
+        raise _contradiction(who, declared.up, "--units", up, "z")
+    if declared.conflict is not None and across.name not in declared.conflict:
+        raise InputError(f"{declared.conflict}, --units says {across}", reason="input_units")
+    source = declared.said_by if declared.across is not None else "--units"
+    return replace(declared, across=across, up=up, said_by=source, conflict=None)
 
 
 def _contradiction(

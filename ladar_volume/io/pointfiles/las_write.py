@@ -41,7 +41,7 @@ def write_las(
     path: Path,
     columns: Columns,
     comments: list[str],
-    like: laspy.LasHeader | None = None,
+    template: laspy.LasHeader | None = None,
     crs: CRS | None = None,
     same_system: bool = False,
     version: str | None = None,
@@ -49,28 +49,28 @@ def write_las(
     """Write points; LAZ by the file's ending, and COPC by ``.copc.laz``.
 
     A column that the point format has a place for goes there where its values fit, else into extra
-    bytes. ``like`` gives point format, version, GPS time's kind and records; where ``same_system``,
-    its numbers are those that are written, and it gives offsets, and without a ``crs`` its own. A
-    ``crs`` is written as WKT. ``version`` is the least that is written.
-    Coordinates are integers of 0.1 mm, or a finer whole part of ``like``'s step (coarser only where
-    the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". COPC has
-    point formats 6 to 8, a WKT or no system, and an order of its own. Raises OSError and
+    bytes. ``template`` gives point format, version, GPS time's kind and records; where
+    ``same_system``, its numbers are those that are written, and it gives offsets, and without a
+    ``crs`` its own. A ``crs`` is written as WKT. ``version`` is the least that is written.
+    Coordinates are integers of 0.1 mm, or a finer whole part of ``template``'s step (coarser only
+    where the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". COPC
+    has point formats 6 to 8, a WKT or no system, and an order of its own. Raises OSError and
     :class:`OutputError`.
     """
     copc = is_copc(path)
-    if path.suffix.lower() == ".laz" and like is not None and set(columns) & WAVES:
+    if path.suffix.lower() == ".laz" and template is not None and set(columns) & WAVES:
         raise OutputError(
             "the compression of wave packets loses places in files of several channels: write .las",
             value=sorted(set(columns) & WAVES),
         )
     columns = _columns_of(columns, copc)
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    header = _header(like, columns, crs, same_system, copc)
+    header = _header(template, columns, crs, same_system, copc)
     if version is not None:
         header.version = max(header.version, laspy.header.Version.from_str(version))
-    _set_scales(header, r, like if same_system else None)
-    own, extra = _split_columns(header, like, columns)
-    _add_extra(header, like, extra)
+    _set_scales(header, r, template if same_system else None)
+    own, extra = _split_columns(header, template, columns)
+    _add_extra(header, template, extra)
     if comments:
         text = json.dumps(comments).encode()
         header.vlrs.append(laspy.VLR("ladar_volume", 1, "names of the codes", text))
@@ -101,27 +101,31 @@ def is_copc(path: Path) -> bool:
 
 
 def _header(
-    like: laspy.LasHeader | None, columns: Columns, crs: CRS | None, same_system: bool, copc: bool
+    template: laspy.LasHeader | None,
+    columns: Columns,
+    crs: CRS | None,
+    same_system: bool,
+    copc: bool,
 ) -> laspy.LasHeader:
-    if like is None:
+    if template is None:
         names = set(columns)
         kind = 8 if INFRARED <= names and names >= COLOURS else 7 if names >= COLOURS else 6
         header = laspy.LasHeader(point_format=kind, version="1.4")
     else:
         # WKT has its place in 1.4, which holds every point format
-        version = "1.4" if crs is not None or copc else str(like.version)
-        own_crs = same_system and crs is None and (like.global_encoding.wkt or not copc)
-        kind = like.point_format.id
+        version = "1.4" if crs is not None or copc else str(template.version)
+        own_crs = same_system and crs is None and (template.global_encoding.wkt or not copc)
+        kind = template.point_format.id
         kind = kind if set(columns) & WAVES else WITHOUT_WAVES.get(kind, kind)
         kind = MODERN.get(kind, kind) if copc else kind
         header = laspy.LasHeader(point_format=kind, version=version)
-        header.global_encoding.gps_time_type = like.global_encoding.gps_time_type
-        header.file_source_id, header.uuid = like.file_source_id, like.uuid
-        header.system_identifier = like.system_identifier
-        header.creation_date = like.creation_date
+        header.global_encoding.gps_time_type = template.global_encoding.gps_time_type
+        header.file_source_id, header.uuid = template.file_source_id, template.uuid
+        header.system_identifier = template.system_identifier
+        header.creation_date = template.creation_date
         kept = [
             v
-            for v in [*like.vlrs, *(like.evlrs or [])]
+            for v in [*template.vlrs, *(template.evlrs or [])]
             if (v.user_id, v.record_id) not in OWN_RECORDS
             and (own_crs or v.user_id != PROJECTION)
             and v.user_id != "ladar_volume"
@@ -129,7 +133,7 @@ def _header(
         ]
         header.vlrs.extend(kept)
         if own_crs:
-            header.global_encoding.wkt = like.global_encoding.wkt
+            header.global_encoding.wkt = template.global_encoding.wkt
     if crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt_of(crs)))
         header.global_encoding.wkt = True
@@ -147,10 +151,10 @@ def wkt_of(crs: CRS) -> str:
         return str(crs.to_wkt())
 
 
-def _set_scales(header: laspy.LasHeader, r: F64, like: laspy.LasHeader | None) -> None:
+def _set_scales(header: laspy.LasHeader, r: F64, template: laspy.LasHeader | None) -> None:
     low, high = (r.min(axis=0), r.max(axis=0)) if len(r) else (np.zeros(3), np.zeros(3))
-    if like is not None:
-        scales, offsets = np.abs(np.array(like.scales)), np.array(like.offsets)
+    if template is not None:
+        scales, offsets = np.abs(np.array(template.scales)), np.array(template.offsets)
         fine = scales / np.ceil(scales / SCALE_M * (1.0 - 1e-9))
         if (np.abs(np.array([low, high]) - offsets) <= 2.0**31 * 0.999 * fine).all():
             header.scales, header.offsets = fine, offsets
@@ -160,7 +164,7 @@ def _set_scales(header: laspy.LasHeader, r: F64, like: laspy.LasHeader | None) -
 
 
 def _split_columns(
-    header: laspy.LasHeader, like: laspy.LasHeader | None, columns: Columns
+    header: laspy.LasHeader, template: laspy.LasHeader | None, columns: Columns
 ) -> tuple[Columns, Columns]:
     """Columns that the point format has a place for, and those for extra bytes."""
     own: Columns = {}
@@ -173,7 +177,7 @@ def _split_columns(
             own[name] = cast
         else:
             extra[f"{name}_value"] = c
-    return own, _join_vectors(like, extra)
+    return own, _join_vectors(template, extra)
 
 
 def _fits(header: laspy.LasHeader, name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any] | None:
@@ -188,18 +192,20 @@ def _fits(header: laspy.LasHeader, name: str, column: npt.NDArray[Any]) -> npt.N
     return column.astype(np.int64)
 
 
-def _join_vectors(like: laspy.LasHeader | None, extra: Columns) -> Columns:
-    """Vectors among the extra bytes of ``like``, whose parts are columns ``name_0``, ``name_1``."""
-    for place in [] if like is None else like.point_format.extra_dimensions:
+def _join_vectors(template: laspy.LasHeader | None, extra: Columns) -> Columns:
+    """Vectors among the extra bytes of ``template``, whose parts are columns ``name_0``,
+    ``name_1``.
+    """
+    for place in [] if template is None else template.point_format.extra_dimensions:
         parts = [f"{place.name}_{k}" for k in range(place.num_elements)]
         if place.num_elements > 1 and set(parts) <= set(extra):
             extra[place.name] = np.column_stack([extra.pop(part) for part in parts])
     return extra
 
 
-def _add_extra(header: laspy.LasHeader, like: laspy.LasHeader | None, extra: Columns) -> None:
+def _add_extra(header: laspy.LasHeader, template: laspy.LasHeader | None, extra: Columns) -> None:
     known: Mapping[str, Any] = (
-        {} if like is None else {d.name: d for d in like.point_format.extra_dimensions}
+        {} if template is None else {d.name: d for d in template.point_format.extra_dimensions}
     )
     if any(len(name.encode()) > 32 for name in extra):
         raise OutputError(

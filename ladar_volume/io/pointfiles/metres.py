@@ -110,29 +110,29 @@ class MapCoordinates:
 
 
 def to_metres(
-    r: F64, said: Coordinates, reading: Reading
+    r: F64, declared: Coordinates, reading: Reading
 ) -> tuple[F64, MapCoordinates, list[Doubt]]:
     """Points (n, 3) in m, changed in place where no CRS needs more. Raises :class:`InputError` and
     :class:`CloudError` for coordinates that contradict what is said of them.
     """
     doubts: list[Doubt] = []
-    across = said.across if said.across is not None else None if said.degrees else METRE
-    up = said.up or across or METRE
-    if said.up is None and across is not None and not across.equals(METRE):
+    across = declared.across if declared.across is not None else None if declared.degrees else METRE
+    up = declared.up or across or METRE
+    if declared.up is None and across is not None and not across.equals(METRE):
         words = (
             f"the header gives {across.name} for x and y and no unit of z: z is taken in the same, "
             f"and V would be {1.0 / across.metres:.4g} times as large if z were in metres; confirm "
             "with --units"
         )
         doubts.append(Doubt("height_unit", words, 1.0 / across.metres))
-    asked = reading.refuse_degrees or said.crs is not None
-    if not said.degrees and reading.across is None and asked:
-        refuse_degrees(r, said)
+    asked = reading.refuse_degrees or declared.crs is not None
+    if not declared.degrees and reading.across is None and asked:
+        refuse_degrees(r, declared)
     if up.metres != 1.0:
         r[:, 2] *= up.metres
-    crs, factor = said.crs, (np.nan, up.metres)
+    crs, factor = declared.crs, (np.nan, up.metres)
     if across is None:
-        crs = project_to_utm(r, said)
+        crs = project_to_utm(r, declared)
     else:
         factor = (across.metres, up.metres)
         if across.metres != 1.0:
@@ -147,10 +147,10 @@ def to_metres(
             value=far,
         )
     scale, ground = (None, None) if crs is None else stretch(r, crs)
-    return r, MapCoordinates(crs, said, across, up, factor, scale, ground), doubts
+    return r, MapCoordinates(crs, declared, across, up, factor, scale, ground), doubts
 
 
-def refuse_degrees(r: F64, said: Coordinates) -> None:
+def refuse_degrees(r: F64, declared: Coordinates) -> None:
     """Refuse coordinates that look like longitude and latitude. Raises :class:`InputError`
     (input_degrees).
     """
@@ -164,7 +164,9 @@ def refuse_degrees(r: F64, said: Coordinates) -> None:
             return
     if tall > STEEP * wide:
         who = (
-            f"though the header says {said.name}" if said.crs is not None else "and no CRS is named"
+            f"though the header says {declared.name}"
+            if declared.crs is not None
+            else "and no CRS is named"
         )
         raise InputError(
             f"coordinates about {mid[0]:.5g}, {mid[1]:.5g} spread over {wide:.2g}, heights over "
@@ -175,26 +177,27 @@ def refuse_degrees(r: F64, said: Coordinates) -> None:
         )
 
 
-def project_to_utm(r: F64, said: Coordinates) -> CRS:
+def project_to_utm(r: F64, declared: Coordinates) -> CRS:
     """Project longitude and latitude, degrees, in place to the UTM zone of their median on the same
     datum (no datum is shifted); the CRS, heights included.
     """
     from pyproj import Transformer
     from pyproj.crs import CompoundCRS
 
-    if said.crs is None:
+    if declared.crs is None:
         raise InputError(
             "longitude and latitude of an unnamed datum: give --crs, say EPSG:4326 (WGS 84) or "
             "EPSG:4258 (ETRS89)",
             reason="input_crs",
         )
-    flat, vertical = parts_of(said.crs)
+    flat, vertical = parts_of(declared.crs)
     assert flat is not None
     lon, lat = r[:, 0], r[:, 1]
     if not (np.abs(lon) <= 360.0).all() or not (np.abs(lat) <= 84.0).all():
         raise InputError(
-            f"the CRS is {said.name} in degrees, and coordinates reach {np.abs(lon).max():.6g}, "
-            f"{np.abs(lat).max():.6g}: longitude (x) and latitude (y) up to 84 are needed",
+            f"the CRS is {declared.name} in degrees, and coordinates reach "
+            f"{np.abs(lon).max():.6g}, {np.abs(lat).max():.6g}: longitude (x) and "
+            "latitude (y) up to 84 are needed",
             reason="input_degrees",
         )
     utm = utm_of(flat, float(np.median(lon)), float(np.median(lat)))

@@ -106,7 +106,7 @@ def assemble(table: RawTable, columns: bool, reading: Reading) -> PointFile:
 
 
 def _positions(
-    found: Columns, said: Coordinates | None
+    found: Columns, declared: Coordinates | None
 ) -> tuple[F64, tuple[bool, bool, bool], Coordinates | None]:
     """x, y, z taken out of the columns, which of them are float32, and what their names say."""
     names, degrees = axis_columns(found)
@@ -125,10 +125,10 @@ def _positions(
     by_name = units_of_names(names)
     if degrees:
         by_name = replace(by_name or Coordinates(), degrees=True, across=None)
-    if by_name is not None and said is None:
-        said = by_name
+    if by_name is not None and declared is None:
+        declared = by_name
     x, y, z = (a.dtype == np.float32 for a in axes)
-    return r, (x, y, z), said
+    return r, (x, y, z), declared
 
 
 def _select_points(

@@ -84,13 +84,13 @@ class ClosedBodies:
         """Whether a mesh is being made or waits to be taken in."""
         return self._thread is not None
 
-    def begin(self, estimate: Estimate, parameters: Parameters, at_once: bool = False) -> None:
+    def begin(self, estimate: Estimate, parameters: Parameters, immediately: bool = False) -> None:
         """Mesh the returns around what an estimate found, where there are new ones and the pause
         since the last time is over.
         """
         rested = time.monotonic() - self._ended >= self._ended - self._began
         new = self.newest_ns > self._due_ns
-        if self.running or not (at_once or (new and rested and not self.waits)):
+        if self.running or not (immediately or (new and rested and not self.waits)):
             return
         self._began, self._due_ns = time.monotonic(), self.newest_ns
         job = self._store.copy(), estimate, parameters, MeshingOutcome(self._survey, self.newest_ns)

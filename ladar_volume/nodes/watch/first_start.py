@@ -13,8 +13,8 @@ EVERY_S = 1.0
 
 
 @contextlib.contextmanager
-def compilation_reports(tell: Callable[[str], None], every_s: float = EVERY_S) -> Iterator[None]:
-    """While the block compiles kernels, ``tell`` is called with the progress, which also goes to
+def compilation_reports(report: Callable[[str], None], every_s: float = EVERY_S) -> Iterator[None]:
+    """While the block compiles kernels, ``report`` is called with the progress, which also goes to
     stderr.
     """
     before, over = COMPILE_PROGRESS.count, threading.Event()
@@ -22,7 +22,7 @@ def compilation_reports(tell: Callable[[str], None], every_s: float = EVERY_S) -
     def watch() -> None:
         while not over.wait(every_s):
             if COMPILE_PROGRESS.count > before:
-                tell(COMPILE_PROGRESS.words())
+                report(COMPILE_PROGRESS.words())
 
     watching = threading.Thread(target=watch, name="compiling", daemon=True)
     watching.start()
