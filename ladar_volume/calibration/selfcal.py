@@ -26,7 +26,7 @@ from ladar_volume.calibration.strip_adjustment import (
 )
 from ladar_volume.calibration.strip_patches import OUTLIER_SIGMAS, fit_planes, overlap
 from ladar_volume.georeference.error_budget import calibration_columns, independent_sigmas
-from ladar_volume.georeference.point_jacobian import unpack
+from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import CAL_COLUMNS, F64, I64

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.records import F64, I64
 
@@ -180,7 +181,7 @@ def _planes(d: F64, patch: I64) -> tuple[F64, F64, F64]:
     """
     pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
     packed = _means(np.stack([d[:, a] * d[:, b] for a, b in pairs], axis=1), patch)
-    value, vector = np.linalg.eigh(packed[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])
+    value, vector = np.linalg.eigh(unpack(packed))
     return vector[:, :, 0], vector[:, :, 1:], np.sqrt(np.maximum(value[:, 1], 0.0))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives
-from ladar_volume.georeference.point_jacobian import bracket, pack
+from ladar_volume.georeference.point_jacobian import bracket
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
 from ladar_volume.math.array_types import F32, F64, I64
 from ladar_volume.math.interpolation import (
@@ -24,6 +24,7 @@ from ladar_volume.math.interpolation import (
     rotation_rows,
 )
 from ladar_volume.math.kernels import leaf_kernel, parallel_kernel
+from ladar_volume.math.packed_covariance import pack
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 
 #: What became of a return.

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from ladar_volume.georeference.error_budget import calibration_covariance
 from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives, mounting
+from ladar_volume.math.packed_covariance import pack, unpack
 from ladar_volume.math.se3 import matrix_from_quaternion, skew, slerp
 from ladar_volume.model.parameters import CalibrationParameters, Parameters
 from ladar_volume.model.records import (
@@ -184,17 +185,6 @@ def navigation_covariance_at(geometry: PointGeometry, states: PlatformStates) ->
     f = geometry.fraction[:, None, None]
     out: F64 = states.C_nav[geometry.state] * (1.0 - f) + states.C_nav[nxt] * f
     return out
-
-
-def pack(C: F64) -> F64:
-    """Symmetric (n, 3, 3) -> (n, 6): xx, xy, xz, yy, yz, zz."""
-    return C[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-
-
-def unpack(packed: npt.ArrayLike) -> F64:
-    """(n, 6) -> symmetric (n, 3, 3) float64; the inverse of :func:`pack`."""
-    c = np.asarray(packed, dtype=np.float64)
-    return c[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
 def independent_covariance(geometry: PointGeometry, sigmas: F64) -> F64:

@@ -205,8 +205,9 @@ class FilteredPoints:
 
 
 @dataclass(frozen=True)
-class Patches:
-    """Local least-squares surfaces, one per voxel, sorted by key; ragged parts in CSR form.
+class PatchTable:
+    """Local least-squares surfaces, one per voxel, sorted by key; ragged parts in CSR form. What
+    :class:`Patches`, as they are sent, and :class:`HeldPatches`, as they are held, have in common.
 
     Height over the tangent plane: ``w(u, v) = x(u, v) @ beta`` with ``x = (1, u, v)`` or ``(1, u,
     v, u², uv, v²)``; a point is ``centre + u tangent + v (normal x tangent) + w normal``.
@@ -214,13 +215,12 @@ class Patches:
     key : (m,) int64, unique and stable · centre, normal, tangent : (m, 3) · beta : (m, p) · sigma :
     (m,) m, robust residual scale · used : (m,) int32 inliers in the fit · t_ns : (m,) mean time ·
     cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block
-    first), cross : (k, p, p) float32 m² the covariance blocks ``C_ab`` of UNCERTAINTY step 3 ·
-    M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of beta, then of
-    the place along tangent and binormal, which moves with the returns · nav_start : (m + 1,),
-    nav_bin : (l,) int64 ``floor(t / nav_bin)``, M_nav : (l, p + 2, 4) float32 the same per
-    navigation time bin, or for some bins that stand for all: by the platform's position along the
-    normal (of beta), the tangent and the binormal, across which it does nothing, then by its
-    attitude
+    first), cross : (k, p, p) the covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : mean
+    sensitivities to the calibration columns: of beta, then of the place along tangent and binormal,
+    which moves with the returns · nav_start : (m + 1,), nav_bin : (l,) int64 ``floor(t /
+    nav_bin)``, M_nav : (l, p + 2, 4) the same per navigation time bin, or for some bins that stand
+    for all: by the platform's position along the normal (of beta), the tangent and the binormal,
+    across which it does nothing, then by its attitude
     """
 
     key: I64
@@ -233,18 +233,28 @@ class Patches:
     t_ns: I64
     cross_start: I64
     cross_key: I64
-    cross: F32
+    cross: F32 | I8
     M_cal: F32
     nav_start: I64
     nav_bin: I64
-    M_nav: F32
+    M_nav: F32 | I16
 
     def __len__(self) -> int:
         return len(self.key)
 
 
 @dataclass(frozen=True)
-class HeldPatches(Patches):
+class Patches(PatchTable):
+    """Patches as the filter sends them. cross : float32 m² · M_cal : (m, p + 2, c) float32 · M_nav
+    : float32
+    """
+
+    cross: F32
+    M_nav: F32
+
+
+@dataclass(frozen=True)
+class HeldPatches(PatchTable):
     """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ``
     with cross int8; M_nav int16, each row times its unit for position and for attitude; of M_cal
     only the columns that all beams share, those of single beams in M_beam as int16, each row times
@@ -254,8 +264,8 @@ class HeldPatches(Patches):
     M_beam : (m, p + 2, 2 beams) int16 · beam_unit : (m, p + 2, 2) float32
     """
 
-    cross: I8  # type: ignore[assignment]
-    M_nav: I16  # type: ignore[assignment]
+    cross: I8
+    M_nav: I16
     factor: F32
     nav_unit: F32
     M_beam: I16

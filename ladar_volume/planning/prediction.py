@@ -22,9 +22,9 @@ from ladar_volume.georeference.point_jacobian import (
     bracket,
     independent_covariance,
     interpolate_poses,
-    pack,
     point_geometry,
 )
+from ladar_volume.math.packed_covariance import pack
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import (

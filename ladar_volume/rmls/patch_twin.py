@@ -12,8 +12,8 @@ from ladar_volume.georeference.point_jacobian import (
     full_calibration_jacobian,
     navigation_jacobian,
     point_geometry,
-    unpack,
 )
+from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 from ladar_volume.model.parameters import CalibrationParameters
 from ladar_volume.model.records import F64, I64, Bool, MappedPoints, PlatformStates

@@ -36,6 +36,7 @@ from ladar_volume.model.records import (
     I64,
     HeldPatches,
     Patches,
+    PatchTable,
 )
 from ladar_volume.uncertainty.load_kernels import BinRows
 from ladar_volume.uncertainty.patch_merge import has_key, place_from
@@ -169,7 +170,7 @@ def beam_kernel(M: F32) -> tuple[I16, F32]:
     return out, unit
 
 
-def factor_loads(q: F64, patches: Patches) -> F64:
+def factor_loads(q: F64, patches: PatchTable) -> F64:
     """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p or more, k) of
     which the first p are on the patches' parameters.
     """
@@ -195,7 +196,7 @@ def factor_load_kernel(factor: F32, q: F64) -> F64:
     return out
 
 
-def factor_rows(X: F64, row: I64, patches: Patches) -> F64:
+def factor_rows(X: F64, row: I64, patches: PatchTable) -> F64:
     """The same for design rows X (n, p) of points on patches row (n,), in their place."""
     if isinstance(patches, HeldPatches):
         factor_row_kernel(patches.factor, X, row)
@@ -215,20 +216,20 @@ def factor_row_kernel(factor: F32, X: F64, row: I64) -> None:
             X[i, s] = total
 
 
-def navigation_units(patches: Patches) -> F32:
+def navigation_units(patches: PatchTable) -> F32:
     """Units (m, p + 2, 2) of the sensitivities to position and attitude."""
     if isinstance(patches, HeldPatches):
         return patches.nav_unit
     return np.ones((len(patches), patches.M_nav.shape[1], 2), np.float32)
 
 
-def bin_rows(patches: Patches, bins: I32) -> BinRows:
+def bin_rows(patches: PatchTable, bins: I32) -> BinRows:
     """The patches' sensitivities to the navigation, for kernels. bins : (l,) time bin of each."""
     p = patches
     return BinRows(p.nav_start, bins, p.M_nav, navigation_units(p), p.normal, p.tangent)
 
 
-def calibration_parts(patches: Patches) -> tuple[F32, F32 | I16, F32]:
+def calibration_parts(patches: PatchTable) -> tuple[F32, F32 | I16, F32]:
     """Sensitivities (m, p + 2, 11) to what all beams share, those (m, p + 2, 2 beams) to the range
     of each beam, then to its vertical angle, and the units (m, p + 2, 2) of each row for both.
     """
@@ -242,7 +243,7 @@ def calibration_parts(patches: Patches) -> tuple[F32, F32 | I16, F32]:
     )
 
 
-def calibration_rows(patches: Patches, rows: I64 | slice, first: int | None = None) -> F32:
+def calibration_rows(patches: PatchTable, rows: I64 | slice, first: int | None = None) -> F32:
     """Sensitivities (k, p + 2, 11 + 2 beams) of patches ``rows`` (k,) as they are sent; only the
     ``first`` of each, where asked for.
     """
@@ -254,7 +255,7 @@ def calibration_rows(patches: Patches, rows: I64 | slice, first: int | None = No
     )
 
 
-def beam_count(patches: Patches) -> int:
+def beam_count(patches: PatchTable) -> int:
     """Beams that the patches have sensitivities to."""
     return (
         int(
@@ -284,7 +285,7 @@ def prepare_patches(patches: Patches) -> HeldPatches:
     )
 
 
-def unpack_patches(patches: Patches, first: int, last: int) -> Patches:
+def unpack_patches(patches: PatchTable, first: int, last: int) -> Patches:
     """Patches from ``first`` to ``last``, with blocks and sensitivities as they are sent."""
     rows = patch_range(patches, first, last)
     if not isinstance(patches, HeldPatches):

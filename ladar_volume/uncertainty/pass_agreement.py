@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F64, I64, Agreement, Bool, Patches, SourceAgreement
+from ladar_volume.model.records import F64, I64, Agreement, Bool, PatchTable, SourceAgreement
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 
 #: Patches that are asked at most; fewest that answer; fewest returns of one, and least upward
@@ -76,7 +76,7 @@ def dispersion(start: I64, t_s: F64, u: F64, shares: tuple[float, float, float])
     return out
 
 
-def select_patches(patches: Patches) -> I64:
+def select_patches(patches: PatchTable) -> I64:
     """Patches (k,) that tell something, spread evenly."""
     bins = np.diff(patches.nav_start)
     good = (bins >= 2) & (patches.used >= RETURNS) & (np.abs(patches.normal[:, 2]) > UPWARD)
@@ -85,7 +85,7 @@ def select_patches(patches: Patches) -> I64:
 
 
 def scatter_by_source(
-    patches: Patches, rows: I64, nav: NavigationBins, b: BudgetParameters
+    patches: PatchTable, rows: I64, nav: NavigationBins, b: BudgetParameters
 ) -> dict[str, F64]:
     """What each source does to the mean squares (k,) m² of patches ``rows`` (k,) about their
     surfaces.
@@ -166,7 +166,7 @@ class Scatter(NamedTuple):
         return out
 
 
-def patch_scatter(patches: Patches, nav: NavigationBins, b: BudgetParameters) -> Scatter | None:
+def patch_scatter(patches: PatchTable, nav: NavigationBins, b: BudgetParameters) -> Scatter | None:
     """The residuals of patches and what they should be; None where too few patches are seen more
     than once.
     """
@@ -177,7 +177,7 @@ def patch_scatter(patches: Patches, nav: NavigationBins, b: BudgetParameters) ->
 
 
 def pass_agreement(
-    found: Scatter, patches: Patches, nav: NavigationBins, b: BudgetParameters
+    found: Scatter, patches: PatchTable, nav: NavigationBins, b: BudgetParameters
 ) -> Agreement | None:
     """How the residuals of the median patch compare with the budget; None where nothing is
     shared.

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.model.records import F32, F64, I32, I64, Bool, Patches
+from ladar_volume.model.records import F32, F64, I32, I64, Bool, PatchTable
 from ladar_volume.uncertainty.load_kernels import (
     CalibrationRows,
     Entries,
@@ -26,7 +26,11 @@ class PatchErrors:
     """
 
     def __init__(
-        self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]
+        self,
+        patches: PatchTable,
+        navigation: NavigationBins,
+        C_cal: F64,
+        time_bins: tuple[I64, I32],
     ) -> None:
         m, p = patches.beta.shape
         self._rows = bin_rows(patches, time_bins[1])

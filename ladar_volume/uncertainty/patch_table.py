@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +106,15 @@ def points_finite(points: FilteredPoints) -> Bool:
     return out
 
 
+class HeldUpdate(NamedTuple):
+    """An update that waits to be merged: as :class:`FilterUpdate`, its patches as they are held."""
+
+    removed: I64
+    points: FilteredPoints
+    patches: HeldPatches
+    complete: bool
+
+
 class PatchStore:
     """Patches sorted by key and points sorted by patch, then position.
 
@@ -116,7 +125,7 @@ class PatchStore:
     def __init__(self) -> None:
         self._patches: HeldPatches | None = None
         self._points: FilteredPoints | None = None
-        self._pending: list[FilterUpdate] = []
+        self._pending: list[HeldUpdate] = []
         self.losses = Losses()
 
     @property
@@ -134,9 +143,8 @@ class PatchStore:
     def replace(self, update: FilterUpdate) -> None:
         """Forget what the update removes or replaces, then add its patches and points."""
         points = self._usable(update.points, update.patches.key)
-        self._pending.append(
-            dataclasses.replace(update, points=points, patches=prepare_patches(update.patches))
-        )
+        held = prepare_patches(update.patches)
+        self._pending.append(HeldUpdate(update.removed, points, held, update.complete))
         if update.complete and sum(len(pending.patches) for pending in self._pending) > PENDING:
             self._merge()
 
@@ -152,7 +160,7 @@ class PatchStore:
             turn += update.complete
         if self._patches is not None and self._points is not None:
             updates, turns = (
-                [FilterUpdate(0, np.zeros(0, np.int64), self._points, self._patches), *updates],
+                [HeldUpdate(np.zeros(0, np.int64), self._points, self._patches, True), *updates],
                 [0, *turns],
             )
         last = LatestUpdate(updates, turns)
@@ -182,7 +190,7 @@ class LatestUpdate:
     named, ascending, then one that is none.
     """
 
-    def __init__(self, updates: list[FilterUpdate], turns: list[int]) -> None:
+    def __init__(self, updates: list[HeldUpdate], turns: list[int]) -> None:
         """turns : number of each of these updates, rising; parts of one have the same."""
         words = [np.union1d(update.removed, update.patches.key) for update in updates]
         keys, turn = np.concatenate(words), np.repeat(turns, [len(word) for word in words])

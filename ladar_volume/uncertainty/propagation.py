@@ -16,7 +16,7 @@ import numpy as np
 from ladar_volume.georeference.error_budget import calibration_columns
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I32, I64, FilteredPoints, PatchTable
 from ladar_volume.uncertainty.load_kernels import (
     calibration_kernel,
     cross_kernel,
@@ -65,7 +65,7 @@ def design_rows(local: F64, p: int) -> F64:
     return out
 
 
-def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometry:
+def surface_geometry(points: FilteredPoints, patches: PatchTable) -> SurfaceGeometry:
     """Index the points and cross blocks of patches sorted by key. Raises :class:`VolumeError`
     (volume_patches) for patches of neither 3 nor 6 parameters, and for sensitivities that are not
     those of the parameters and two tangents.
@@ -86,7 +86,7 @@ def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometr
     return SurfaceGeometry(row, points.local, p, patches.cross_start, right)
 
 
-def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
+def patch_loads(gradient: F64, patches: PatchTable, geometry: SurfaceGeometry) -> F64:
     """Loads q (m, p + 2, k) of k results with gradients (n, k, 3): on the patch parameters, then on
     the patch's place along its tangent and binormal.
     """
@@ -102,7 +102,7 @@ def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F
     )
 
 
-def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
+def independent_covariance(q: F64, patches: PatchTable, geometry: SurfaceGeometry) -> F64:
     """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab
     q_b`` over all pairs of patches, with the loads on their parameters.
     """
@@ -117,12 +117,6 @@ def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) 
             q, four, patches.cross_start, geometry.right, patches.cross
         )
     out: F64 = 0.5 * (half + half.T)[:k, :k]  # the transposed pairs
-    return out
-
-
-def unpack(packed: F64) -> F64:
-    """Packed symmetric (n, 6) -> (n, 3, 3)."""
-    out: F64 = packed[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
     return out
 
 
@@ -175,13 +169,13 @@ def calibration_marginals(J: F64, C_cal: F64) -> dict[str, float]:
     return {name: float(J[i] @ C_cal[np.ix_(i, i)] @ J[i]) for name, i in groups.items()}
 
 
-def calibration_sensitivity(q: F64, patches: Patches) -> F64:
+def calibration_sensitivity(q: F64, patches: PatchTable) -> F64:
     """``J_cal = Σ_patches qᵀ M_cal`` (c,) of loads q (m, p + 2)."""
     return np.asarray(calibration_kernel(q, *calibration_parts(patches)))
 
 
 def navigation_sensitivity(
-    q: F64, patches: Patches, listed: tuple[I64, I32] | None = None
+    q: F64, patches: PatchTable, listed: tuple[I64, I32] | None = None
 ) -> tuple[F64, I64]:
     """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) to position and attitude, and their
     ascending bins (b,) of loads q (m, p + 2).
@@ -203,7 +197,7 @@ def navigation_sensitivity(
     return J[used], bins[used]
 
 
-def time_bins(patches: Patches) -> tuple[I64, I32]:
+def time_bins(patches: PatchTable) -> tuple[I64, I32]:
     """Bins (b,) of all navigation sensitivities, ascending, and the row (l,) of each sensitivity's
     own among them.
     """

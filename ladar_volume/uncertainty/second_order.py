@@ -35,7 +35,7 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F64, I32, I64, Patches
+from ladar_volume.model.records import F64, I32, I64, PatchTable
 from ladar_volume.uncertainty.load_kernels import BinRows
 from ladar_volume.uncertainty.navigation_sum import NavigationBins, markov_sum
 from ladar_volume.uncertainty.packing import bin_rows
@@ -187,7 +187,7 @@ def curvature_kernel(
 
 
 def curvatures(
-    q: F64, patches: Patches, navigation: NavigationBins, listed: tuple[I64, I32] | None = None
+    q: F64, patches: PatchTable, navigation: NavigationBins, listed: tuple[I64, I32] | None = None
 ) -> F64:
     """H by time bin (b, 3, 3), unit of the result per rad², of one result with loads q (m, p) on
     the patches' parameters: by an error that is the same for all that was seen in the bin. The

@@ -25,7 +25,7 @@ from ladar_volume.model.records import (
     LEAST_UPWARD,
     Bool,
     FilteredPoints,
-    Patches,
+    PatchTable,
     Tin,
 )
 from ladar_volume.uncertainty.packing import factor_rows
@@ -36,7 +36,7 @@ RINGS, MOST_RINGS = 4, 12
 
 
 def vertex_rows(
-    tin: Tin, points: FilteredPoints, patches: Patches, geometry: SurfaceGeometry
+    tin: Tin, points: FilteredPoints, patches: PatchTable, geometry: SurfaceGeometry
 ) -> tuple[F64, I64]:
     """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks
     are, and that patch (n,).
@@ -49,7 +49,7 @@ def vertex_rows(
 
 
 def corner_covariances(
-    patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32
+    patches: PatchTable, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32
 ) -> F64:
     """Packed covariances (k, 6) m² of the heights at the corners of ``triangles`` (k, 3), for their
     variances (n,).
@@ -65,7 +65,7 @@ def corner_covariances(
 
 def height_pairs(
     tin: Tin,
-    patches: Patches,
+    patches: PatchTable,
     geometry: SurfaceGeometry,
     X: F64,
     row: I64,
@@ -141,7 +141,7 @@ def corner_kernel(
 
 
 def height_sums(
-    patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, chosen: I64, variance: F64
+    patches: PatchTable, geometry: SurfaceGeometry, X: F64, row: I64, chosen: I64, variance: F64
 ) -> tuple[F64, float]:
     """Sums (n,) m² of the covariances of each of the ``chosen`` (k,) vertices' heights with all
     heights, and how many heights share their noise: the median of sum over variance, which stands

@@ -11,7 +11,7 @@ import numpy as np
 
 from ladar_volume.georeference.error_budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, I64, LEAST_UPWARD, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I32, I64, LEAST_UPWARD, FilteredPoints, PatchTable
 from ladar_volume.uncertainty.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.uncertainty.navigation_sum import (
     NavigationBins,
@@ -101,7 +101,7 @@ class Sources:
     def __init__(
         self,
         points: FilteredPoints,
-        patches: Patches,
+        patches: PatchTable,
         navigation: NavigationBins,
         parameters: Parameters,
     ) -> None:

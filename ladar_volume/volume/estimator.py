@@ -19,7 +19,7 @@ from ladar_volume.model.records import (
     Estimate,
     FilteredPoints,
     FilterUpdate,
-    Patches,
+    PatchTable,
     Plane,
     PlatformStates,
     StandingObject,
@@ -241,7 +241,7 @@ class VolumeEstimator:
         """
         return VolumeEstimator(self.parameters, copy.deepcopy(self._navigation))
 
-    def _current(self) -> tuple[FilteredPoints, Patches]:
+    def _current(self) -> tuple[FilteredPoints, PatchTable]:
         points, patches = self.store.points, self.store.patches
         if points is None or patches is None or len(points) < 3:
             raise SurfaceError(
@@ -256,7 +256,7 @@ class VolumeEstimator:
             self._surface_now = survey_surface(points, self.parameters)
         return self._surface_now
 
-    def _sources(self, points: FilteredPoints, patches: Patches) -> Sources:
+    def _sources(self, points: FilteredPoints, patches: PatchTable) -> Sources:
         if self._sources_now is None:
             self._sources_now = Sources(points, patches, self._navigation, self.parameters)
         return self._sources_now

@@ -17,7 +17,7 @@ import numpy as np
 from ladar_volume.ground.ground_adjoint import ground_inverse
 from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, FilteredPoints, Patches, Plane, Tin, Volume
+from ladar_volume.model.records import F64, FilteredPoints, PatchTable, Plane, Tin, Volume
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.ground_field import Roughness
@@ -48,7 +48,7 @@ class SurveyedSurface:
 
     surface: RepresentedSurface
     points: FilteredPoints
-    patches: Patches
+    patches: PatchTable
     sources: Sources
     height_variance: F64
 
@@ -87,7 +87,7 @@ class MeasuredBody:
 
 
 def surveyed_surface(
-    surface: RepresentedSurface, points: FilteredPoints, patches: Patches, sources: Sources
+    surface: RepresentedSurface, points: FilteredPoints, patches: PatchTable, sources: Sources
 ) -> SurveyedSurface:
     """A surface with the noise of its vertices."""
     return SurveyedSurface(surface, points, patches, sources, vertex_variance(surface, points))

@@ -17,7 +17,7 @@ from ladar_volume.model.records import (
     LEAST_UPWARD,
     Bool,
     FilteredPoints,
-    Patches,
+    PatchTable,
     Plane,
     Tin,
 )
@@ -101,7 +101,7 @@ def near_correction(
     base: Plane,
     inside_m2: F64,
     points: FilteredPoints,
-    patches: Patches,
+    patches: PatchTable,
     geometry: SurfaceGeometry,
 ) -> Fold | None:
     """The correction of cut and fill where the surface runs near its base (UNCERTAINTY step 7),

@@ -18,11 +18,8 @@ from ladar_volume.calibration.strip_adjustment import drop_patches, observations
 from ladar_volume.calibration.strip_patches import average_normals, medians, overlap, voxel_numbers
 from ladar_volume.georeference.error_budget import calibration_covariance, independent_sigmas
 from ladar_volume.georeference.lidar_equation import mounting
-from ladar_volume.georeference.point_jacobian import (
-    calibration_jacobian,
-    navigation_jacobian,
-    unpack,
-)
+from ladar_volume.georeference.point_jacobian import calibration_jacobian, navigation_jacobian
+from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import MappedPoints

@@ -17,6 +17,7 @@ from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.knot_table import Knots
 from ladar_volume.georeference.sample_admission import TimeOrder
+from ladar_volume.math import packed_covariance
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
@@ -284,7 +285,7 @@ def test_every_mapped_point_has_its_platform_states():
     }
     np.testing.assert_allclose(distance, [by_time[int(t)] for t in everything.t_ns], atol=1e-4)
     # and the kernel's C_ind is the one of the numpy Jacobian
-    C = point_jacobian.pack(
+    C = packed_covariance.pack(
         point_jacobian.independent_covariance(geometry, independent_sigmas(parameters.budget))
     )
     scale = np.abs(C).max(axis=1, keepdims=True)
@@ -696,8 +697,8 @@ def test_total_covariance_adds_the_shared_errors_to_the_independent_ones():
     parameters = _parameters()
     _, points, states = _run(parameters, fixes + imus + clouds)
     cloud = points[3]
-    total = point_jacobian.unpack(point_jacobian.total_covariance(cloud, states, parameters))
-    shared = total - point_jacobian.unpack(cloud.C_ind)
+    total = packed_covariance.unpack(point_jacobian.total_covariance(cloud, states, parameters))
+    shared = total - packed_covariance.unpack(cloud.C_ind)
     assert (np.linalg.eigvalsh(shared)[:, 0] > 0).all()
     # the position error enters every point in full
     assert (shared[:, 0, 0] > 1e-4).all() and (shared[:, 2, 2] > 4e-4).all()

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ladar_volume.georeference import error_budget as bud
 from ladar_volume.georeference import lidar_equation, point_jacobian
+from ladar_volume.math import packed_covariance
 from ladar_volume.math.se3 import rotation_xyz, skew
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters
 from ladar_volume.model.records import CAL_COLUMNS, MappedPoints, PlatformStates, select
@@ -343,4 +344,6 @@ def test_uncovered_points_are_nan_and_never_extrapolated():
     assert np.isnan(g.v_body[~g.covered]).all() and np.isfinite(g.v_body[g.covered]).all()
     empty = select(states, slice(0, 0))
     assert not point_jacobian.point_geometry(many, empty, CALIBRATION).covered.any()
-    assert np.array_equal(point_jacobian.unpack(point_jacobian.pack(np.eye(3)[None]))[0], np.eye(3))
+    assert np.array_equal(
+        packed_covariance.unpack(packed_covariance.pack(np.eye(3)[None]))[0], np.eye(3)
+    )

@@ -11,6 +11,7 @@ import pytest
 from random_surfaces import COLUMNS, random_surface
 from volume_surfaces import by_position_and_attitude
 
+from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.uncertainty import propagation
 from ladar_volume.uncertainty.load_kernels import (
@@ -35,7 +36,6 @@ from ladar_volume.uncertainty.propagation import (
     patch_loads,
     surface_geometry,
     time_bins,
-    unpack,
 )
 from ladar_volume.uncertainty.second_order import STEEPEST, curvatures
 from ladar_volume.uncertainty.volume_budget import upper_product

@@ -23,7 +23,7 @@ from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.model.body_parameters import BodyParameters, LocalMeshParameters, ObjectParameters
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import GroundParameters, Parameters
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, PatchTable, Plane
 from ladar_volume.uncertainty.ground_field import GroundField
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.roughness import estimate_roughness
@@ -206,7 +206,7 @@ def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
 
 def closed_box(
     points: FilteredPoints,
-    patches: Patches,
+    patches: PatchTable,
     navigation: NavigationBins,
     parameters: Parameters,
     longest_m: float = 0.0,

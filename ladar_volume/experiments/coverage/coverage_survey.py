@@ -40,9 +40,9 @@ from ladar_volume.georeference.point_jacobian import (
     calibration_jacobian,
     independent_covariance,
     navigation_jacobian,
-    pack,
     point_geometry,
 )
+from ladar_volume.math.packed_covariance import pack
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters, Parameters
 from ladar_volume.model.records import (
     CAL_COLUMNS,
