@@ -15,7 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_srvs.srv import Trigger
 from surveyed_box import parameters, states, survey_of_a_box
-from ladar_volume.clouds.survey.survey_bodies import about, bodies_of_survey
+from ladar_volume.clouds.survey.survey_bodies import returns_around, bodies_of_survey
 from ladar_volume.io.message_tables import (
     filtered_columns, mapped_columns, patch_columns, update_parts,
 )
@@ -37,7 +37,7 @@ estimator.add_platform(path)
 surface.add(mapped)
 update = surface.finish()
 estimator.add(update)
-near = about(estimator.estimate(), mapped.r_map, parameters())
+near = returns_around(estimator.estimate(), mapped.r_map, parameters())
 near = near[np.lexsort(near.T)]
 offline = bodies_of_survey(near, estimator.epoch().sources, parameters())
 
