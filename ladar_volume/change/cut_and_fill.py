@@ -190,9 +190,8 @@ def shared_shift_variances(
     tin = difference.tin
     t = tin.triangles[tin.relevant]
     at = np.unique(t).astype(np.int64)
-    own, other = (new, previous) if difference.upper_carries else (previous, new)
-    cross = calibration_cross(new, previous, separate)
-    cross = cross if difference.upper_carries else cross.T
+    upper, cross = difference.upper_carries, calibration_cross(new, previous, separate)
+    own, other, cross = (new, previous, cross) if upper else (previous, new, cross.T)
     tau = np.zeros(len(tin.vertices))
     tau[at] = shared_sigma(own, other, difference, at, cross)[at]
     area, height = footprint_areas(tin.vertices, t), tin.vertices[:, 2]

@@ -27,7 +27,7 @@ from ladar_volume.io.export.output_system import (
 )
 from ladar_volume.io.surveys import SavedSurvey
 from ladar_volume.model.errors import InputError
-from ladar_volume.model.records import F64, Datum
+from ladar_volume.model.records import F64, Datum, FilteredPoints
 from ladar_volume.uncertainty.volume_budget import vertical_sigma
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.estimator import VolumeEstimator
@@ -57,13 +57,7 @@ def survey_deliverable(
     # heights above the base are kept: the survey's up and the normal of the ellipsoid differ by
     # the angle that the site takes up on the earth
     base_m = own.vertices[:, 2] - height_above(tin.vertices, estimate.base)
-    columns = {
-        "sigma_z": sigma,
-        "sigma_normal": np.sqrt(points.variance),
-        "time_unix_s": points.t_ns * 1e-9,
-    }
-    if crs is None:
-        columns["normal"] = points.normal  # its axes are the survey's own
+    columns = point_columns(points, sigma, crs is None)
     rings: list[F64] = []
     if estimator.parameters.volume.outline == "polygon":
         corners = polygon_of(estimator.parameters.volume)
@@ -83,6 +77,16 @@ def survey_deliverable(
         system=system,
         outlines=rings,
     )
+
+
+def point_columns(points: FilteredPoints, sigma: F64, own_axes: bool) -> dict[str, F64]:
+    """Columns (n,) of points; their normals too where the axes are the survey's own."""
+    columns = {
+        "sigma_z": sigma,
+        "sigma_normal": np.sqrt(points.variance),
+        "time_unix_s": points.t_ns * 1e-9,
+    }
+    return columns | ({"normal": points.normal} if own_axes else {})
 
 
 def check_same(file: Path, volume_m3: float, result: Mapping[str, Any]) -> None:
