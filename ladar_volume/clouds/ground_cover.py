@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.ndimage import binary_dilation
 
 from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.cloud_bodies import CloudBodies
@@ -139,13 +139,29 @@ def growth_about_bodies(raw: F64, made: CloudBodies, points: BodyPoints) -> floa
     apart = BESIDE * max(float(mesh.report["spacing_m"]) for mesh in made.meshes)
     reach = LOW * float(np.ptp(r[rows, 2]))
     low = np.flatnonzero(np.abs(height_above(raw, ground)) < reach)
-    low = low[:: max(1, len(low) // (4 * MOST))]
-    near = cKDTree(r[rows, :2]).query(raw[low, :2], distance_upper_bound=apart)[0]
-    low = low[np.isinf(near)][:: max(1, math.ceil(np.count_nonzero(np.isinf(near)) / MOST))]
-    if len(low) < FEWEST or math.isnan(body):
+    ground_only = raw[low[away_from(raw[low, :2], r[rows, :2], apart)]]
+    if len(ground_only) < FEWEST or math.isnan(body):
         return 0.0
     centre = r[rows, :2].mean(axis=0)
-    return growth_by_sectors(raw[low, :2] - centre, scatter(raw, low), body)
+    some = np.arange(0, len(ground_only), max(1, math.ceil(len(ground_only) / MOST)))
+    off = scatter(ground_only, some)
+    return growth_by_sectors(ground_only[some, :2] - centre, off, body)
+
+
+def away_from(xy: F64, others: F64, cell_m: float) -> Bool:
+    """Which places (n, 2) m have none of the others (k, 2) m in their square cell or those beside
+    it: they lie farther off than a cell is wide.
+    """
+    low = others.min(axis=0) - 2.0 * cell_m
+    size = np.floor((others.max(axis=0) - low) / cell_m).astype(np.int64) + 3
+    taken = np.zeros(size, np.bool_)
+    taken[tuple(np.floor((others - low) / cell_m).astype(np.int64).T)] = True
+    near = binary_dilation(taken, np.ones((3, 3), np.bool_))
+    at = np.floor((xy - low) / cell_m).astype(np.int64)
+    inside = ((at >= 0) & (at < size)).all(axis=1)
+    out = np.ones(len(xy), np.bool_)
+    out[inside] = ~near[tuple(at[inside].T)]
+    return out
 
 
 def doubts_about_growth(made: CloudBodies, growth_m: float) -> tuple[Doubt, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, moebius, sphere
 
+from benchmarks.body_coverage import KINDS, ask
 from ladar_volume.cli.body_facts import quantity
 from ladar_volume.cli.main import main
 from ladar_volume.clouds.body_points import ExcludedPoints, step_between
@@ -437,3 +438,10 @@ def test_grass_beside_a_body_is_doubted_and_in_sigma(tmp_path, capsys):
     assert "vegetation" in {r["name"] for r in grass["verdict"]["reasons"]}
     for found in verdicts:
         assert abs(found["volume_m3"] - 1.2**3) < 3.0 * found["sigma_m3"]
+
+
+def test_walls_and_strays_beside_narrow_ground_are_no_grass(tmp_path):
+    number = list(KINDS).index("box")
+    drawn = KINDS["box"](np.random.default_rng([1006, number, 21]))
+    found = ask(drawn, tmp_path)
+    assert found.status == "sound" and found.z < 3.0 and found.sigma[0] < 0.005

@@ -32,6 +32,7 @@ from ladar_volume.clouds.body_walls import (
 )
 from ladar_volume.clouds.cloud_bodies import CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
+from ladar_volume.clouds.ground_cover import away_from
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.mesh.unseen_foot import between_tangent_and_circle
 from ladar_volume.model.body_parameters import BodyParameters
@@ -227,3 +228,11 @@ def test_thin_walls_are_told_from_thick_ones():
     disc = body_of(v * (1.0, 1.0, 0.05), t)
     assert thin_share(disc, 0.2) > 0.5 and thin_share(body_of(v, t), 0.2) == 0.0
     assert plate.volume_m3 == pytest.approx(0.05)
+
+
+def test_places_away_from_a_body():
+    rng = np.random.default_rng(4)
+    body, xy = rng.uniform(-1, 1, (400, 2)), rng.uniform(-4, 4, (3000, 2))
+    far = away_from(xy, body, 0.3)
+    nearest = np.sqrt(((xy[:, None] - body[None]) ** 2).sum(axis=2)).min(axis=1)
+    assert (nearest[far] > 0.3).all() and far[nearest > 2 * np.sqrt(2) * 0.3].all()
