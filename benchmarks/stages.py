@@ -55,7 +55,7 @@ TIMED: tuple[tuple[str, Any, str], ...] = (
     ("filter: points", PatchBuilder, "points"),
     ("filter", SurfaceFilter, "update"),
     ("estimate: merge of the update", PatchStore, "_merge"),
-    ("estimate: TIN", estimator.VolumeEstimator, "_surface"),
+    ("estimate: TIN", estimator.VolumeEstimator, "surface"),
     ("estimate: ground and outline", measured_body, "base_and_outline"),
     ("estimate: prismoids", measured_body, "solid_of"),
     ("estimate: budget", Sources, "budget"),
