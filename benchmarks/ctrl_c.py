@@ -25,6 +25,8 @@ from typing import Any
 from mcap.reader import make_reader
 
 from benchmarks.kill_logger import check
+from ladar_volume.io.bags import BagReader
+from ladar_volume.io.logs.heard_live import absent_words, heard_and_logged, lacking_words
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation.bag import write_bag
@@ -110,7 +112,8 @@ def interrupted(
         if started(["-c", READY, *NODES], domain).wait(timeout=240):
             raise RuntimeError("the nodes did not start")
         first = None if early else started(["-c", FIRST], domain)
-        player = started([*program, "player", str(bag), str(RATE)], domain)
+        # a log is of what came once it listened: georeference_node and it
+        player = started([*program, "player", str(bag), str(RATE), "2"], domain)
         delay = rng.uniform(0.0, LATEST_S)
         if first is None:
             delay += 1.5  # the player looks for listeners first
@@ -148,11 +151,19 @@ def replayed(log: Path, config: Path, folder: Path) -> tuple[float | None, dict[
 
 
 def complete(log: Path) -> str:
-    """Empty for a log that both readers open, with its index, and whose account names no loss; else
-    what is wrong.
+    """Empty for a log that both readers open, with its index, whose account names no loss, and that
+    lacks nothing that georeference_node had; else what is wrong.
     """
     try:
         check(log)
+        with BagReader(log) as bag:
+            missing = (
+                absent_words(bag)
+                if "cloud" not in bag.roles()
+                else lacking_words(heard_and_logged(bag, bag.roles()))
+            )
+        if missing:
+            return missing
         with log.open("rb") as stream:
             for record in make_reader(stream).iter_metadata():
                 if record.name != "messages":

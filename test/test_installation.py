@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
+import sys
 from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree
@@ -130,6 +132,7 @@ def test_every_pinned_package_has_a_wheel_for_arm64():
     done = subprocess.run(
         ["bash", str(ROOT / "tools" / "check_arm64.sh"), "--pins"],
         cwd=ROOT,
+        env=os.environ | {"PYTHON": sys.executable},
         capture_output=True,
         text=True,
         timeout=600,

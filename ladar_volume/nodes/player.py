@@ -47,13 +47,13 @@ class Player(Node):
         self.done = threading.Event()
         self.stop = threading.Event()
 
-    def ready(self) -> bool:
-        """Whether somebody listens to every topic that is played, and nobody came since a while."""
+    def ready(self, wanted: int = 1) -> bool:
+        """Whether so many listen to every topic that is played, and nobody came since a while."""
         needed = [t for role, t in self._topics.items() if role in ("cloud", "fix", "imu")]
         listeners = tuple(self._out[t].get_subscription_count() for t in needed)
         if listeners != self._listeners:
             self._listeners, self._changed = listeners, time.monotonic()
-        return all(listeners) and time.monotonic() - self._changed > SETTLED_S
+        return min(listeners, default=0) >= wanted and time.monotonic() - self._changed > SETTLED_S
 
     def run(self) -> None:
         """Play to the end; for a thread of its own."""
@@ -83,17 +83,20 @@ class Player(Node):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``player BAG [RATE]``: play a recording for nodes that already run."""
+    """``player BAG [RATE [LISTENERS]]``: play a recording for nodes that already run, once so many
+    listen to every topic, ten seconds later at the latest.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0].startswith("-"):
-        print("usage: player BAG [RATE]", file=sys.stderr)  # noqa: T201
+        print("usage: player BAG [RATE [LISTENERS]]", file=sys.stderr)  # noqa: T201
         return 2
     rclpy.init()
     try:
         with BagReader(words[0]) as bag:
             player = Player(bag, bag.roles(), float(words[1]) if len(words) > 1 else 1.0)
             deadline = time.monotonic() + 10.0
-            while not player.ready() and time.monotonic() < deadline:
+            wanted = int(words[2]) if len(words) > 2 else 1
+            while not player.ready(wanted) and time.monotonic() < deadline:
                 rclpy.spin_once(player, timeout_sec=0.1)
             player.run()
             player.destroy_node()
