@@ -60,7 +60,12 @@ from ladar_volume.clouds.cloud_volume import (
 )
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
-from ladar_volume.clouds.sampling.site_lengths import length_facts, site_lengths
+from ladar_volume.clouds.sampling.site_lengths import (
+    length_facts,
+    named_lengths,
+    site_lengths,
+    size_of,
+)
 from ladar_volume.clouds.sampling.stray_effect import stray_effect
 from ladar_volume.clouds.volume_verdict import (
     counted_areas,
@@ -332,8 +337,8 @@ def compute_volume(
 
 def with_site_lengths(task: VolumeTask, surface: CloudSurface) -> VolumeTask:
     """The task with lengths that go with the site, but for those that ``--set`` names."""
-    named = [text.partition("=")[0].strip().partition(".")[2] for text in task.arguments.set]
-    return dataclasses.replace(task, parameters=site_lengths(task.parameters, surface, named))
+    fitted = site_lengths(task.parameters, size_of(surface), named_lengths(task.arguments.set))
+    return dataclasses.replace(task, parameters=fitted)
 
 
 def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.sampling.site_lengths import SiteSize, site_lengths
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
@@ -27,6 +28,7 @@ from ladar_volume.tiles.tile_volume import noise_of_tile
 from ladar_volume.tiles.tile_work import Workers, results
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
+from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.ground_field import (
     Roughness,
     field_squares,
@@ -44,7 +46,7 @@ Progress = Callable[[str, int, int], None]
 @dataclass(frozen=True)
 class GroundVolume:
     """volume : of all tiles · base : the ground · index : the tiles · sums : of each, in the order
-    of their names · sigma_m : of the heights
+    of their names · sigma_m : of the heights · parameters : with the lengths that fit the site
     """
 
     volume: CloudVolume
@@ -52,41 +54,43 @@ class GroundVolume:
     index: TileIndex
     sums: list[GroundSums]
     sigma_m: float
+    parameters: Parameters
 
 
 @dataclass(frozen=True)
 class TriangulatedTile:
-    """What is known of a tile once it is triangulated: its reach, points and their noise, m, NaN
-    where it is not asked for or cannot be told.
+    """What is known of a tile once it is triangulated: its reach, its points and their noise, m,
+    NaN where it is not asked for or cannot be told, the area that counts and the vertices on it.
     """
 
     reach: Box
     points: int
     sigma_m: float
+    area_m2: float
+    vertices: int
 
 
 def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
     """Triangulate a tile where that is not done yet; ``noise`` : whether that of its points is
     asked for.
     """
-    points = surface_of(of.index, of.limits, tile).points
-    sigma = noise_of_tile(of.index.points(tile)) if noise else None
+    surface = surface_of(of.index, of.limits, tile)
+    tin, sigma = surface.tin, noise_of_tile(of.index.points(tile)) if noise else None
+    own = tin.triangles[tin.relevant & surface.counted]
     return TriangulatedTile(
-        tile_outline.reach(of, tile), points, math.nan if sigma is None else sigma
+        tile_outline.reach(of, tile),
+        surface.points,
+        math.nan if sigma is None else sigma,
+        float(footprint_areas(tin.vertices, own).sum()),
+        int(np.count_nonzero(surface.used)),
     )
 
 
-def above_ground(
-    cloud: CloudParts,
-    limits: Limits,
-    parameters: Parameters,
-    sigma_m: float | None,
-    workers: Workers,
-    progress: Progress = lambda stage, total, done: None,
-) -> GroundVolume:
-    """The volume above the ground of the same cloud. sigma_m : of the heights; None for that of
-    the tiles, their root mean square by points. Raises :class:`GroundError` where no ground can be
-    fitted, :class:`VolumeError` where nothing lies inside the outline.
+def triangulated(
+    cloud: CloudParts, limits: Limits, noise: bool, workers: Workers, progress: Progress
+) -> tuple[TiledCloud, dict[Tile, TriangulatedTile]]:
+    """Deal a cloud out into tiles and triangulate each. noise : whether that of its points is
+    asked for.
     """
     each = -(-cloud.points // cloud.count)
     results(
@@ -101,18 +105,43 @@ def above_ground(
     found = results(
         workers,
         partial(run_batch, triangulate_tile, of),
-        [(k, [(tile, sigma_m is None)]) for k, tile in enumerate(longest)],
+        [(k, [(tile, noise)]) for k, tile in enumerate(longest)],
         lambda done: progress("surface", total, done[1][0].points),
     )
-    known = {longest[k]: one for k, (one,) in found}
+    return of, {longest[k]: one for k, (one,) in found}
+
+
+def above_ground(
+    cloud: CloudParts,
+    limits: Limits,
+    parameters: Parameters,
+    sigma_m: float | None,
+    workers: Workers,
+    progress: Progress = lambda stage, total, done: None,
+    named: Collection[str] | None = None,
+) -> GroundVolume:
+    """The volume above the ground of the same cloud. sigma_m : of the heights; None for that of
+    the tiles, their root mean square by points. The lengths of base and outline follow the site,
+    but for those ``named``; None for all as given. Raises :class:`GroundError` where no ground can
+    be fitted, :class:`VolumeError` where nothing lies inside the outline.
+    """
+    of, known = triangulated(cloud, limits, sigma_m is None, workers, progress)
     sigma = noise_of(list(known.values())) if sigma_m is None else sigma_m
+    if named is not None:
+        parameters = site_lengths(parameters, size_of_tiles(list(known.values()), sigma), named)
     fitter = GroundFitter(of, workers, sigma)
     reach = [known[tile].reach for tile in of.tiles]
     outline = OutlineFinder(fitter, parameters, reach).found()
     asked = Above(outline.fit.plane, outline.folder, sigma)
     sums = ask(workers, of, tile_ground_volume.ground_sums, [(asked,)] * len(of.tiles))
     volume = VolumeAbove(fitter, outline.fit, asked, sums).volume(base_name(parameters))
-    return GroundVolume(volume, outline.fit.plane, index, sums, sigma)
+    return GroundVolume(volume, outline.fit.plane, of.index, sums, sigma, parameters)
+
+
+def size_of_tiles(tiles: list[TriangulatedTile], sigma_m: float) -> SiteSize:
+    """The size of the site that tiles make up."""
+    area = math.fsum(t.area_m2 for t in tiles)
+    return SiteSize(area, sum(t.vertices for t in tiles), sigma_m)
 
 
 def noise_of(tiles: list[TriangulatedTile]) -> float:

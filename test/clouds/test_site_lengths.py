@@ -7,7 +7,13 @@ import pytest
 
 import ladar_volume as lv
 from ladar_volume.clouds.cloud_surface import cloud_surface
-from ladar_volume.clouds.sampling.site_lengths import HEIGHTS, WIDTHS, length_facts, site_lengths
+from ladar_volume.clouds.sampling.site_lengths import (
+    HEIGHTS,
+    WIDTHS,
+    length_facts,
+    site_lengths,
+    size_of,
+)
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
@@ -27,7 +33,7 @@ def cone(scale: float, noise: float = 0.008, n: int = 6000):
 def lengths(scale: float, noise: float = 0.008, named=()):
     """The facts of :func:`site_lengths` for a cone."""
     surface = cloud_surface(cone(scale, noise), SurfaceParameters(ratio=1.0), scale * noise)
-    return length_facts(site_lengths(Parameters(), surface, named))
+    return length_facts(site_lengths(Parameters(), size_of(surface), named))
 
 
 @pytest.mark.parametrize("scale", [0.005, 0.05, 1.0, 100.0])

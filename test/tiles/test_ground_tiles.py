@@ -103,6 +103,8 @@ def test_the_verb_volume_by_tiles(tmp_path, capsys):
     assert main([*words, *plain, "--tile", "25", "--store", str(tmp_path / "store")]) == 0
     tiled = json.loads(capsys.readouterr().out)
     assert tiled["base"] == whole["base"]
+    assert whole["lengths"]["outline_margin_m"] > 1.0  # they follow the site
+    assert tiled["lengths"] == pytest.approx(whole["lengths"], rel=1e-9)
     for name in ("cut_m3", "fill_m3", "net_m3", "area_m2"):
         assert tiled[name] == pytest.approx(whole[name], rel=1e-9)
     for line in ("noise", "base_surface"):

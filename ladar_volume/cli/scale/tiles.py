@@ -18,6 +18,7 @@ from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.sampling.site_lengths import length_facts, named_lengths
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
@@ -43,13 +44,15 @@ SHARED = frozenset(
 @dataclass(frozen=True)
 class Found:
     """A volume by tiles. sums : of each tile, in the order of their names · sigma_m : of the
-    heights, the largest of the tiles, 0 where it is not known
+    heights, the largest of the tiles, 0 where it is not known · parameters : with the lengths of
+    base and outline that it was found with
     """
 
     volume: CloudVolume
     index: TileIndex
     sums: Sequence[TileSums | GroundSums]
     sigma_m: float
+    parameters: Parameters
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         cloud = parts_of_file(arguments.cloud, store, tile_m, reading_of(arguments))
     with workers_of(arguments, words) as workers, progress_on(words) as bars:
         found = volume_of(arguments, parameters, cloud, workers, shares(bars))
-    facts = facts_of(found, arguments, parameters)
+    facts = facts_of(found, arguments)
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -109,14 +112,16 @@ def volume_of(
     """The volume above the ground, a level or a plane."""
     v, limits = parameters.volume, limits_of(a)
     if v.base == "ground":
-        above = above_ground(cloud, limits, parameters, a.sigma, workers, progress)
-        return Found(above.volume, above.index, above.sums, above.sigma_m)
+        named = named_lengths(a.set)
+        above = above_ground(cloud, limits, parameters, a.sigma, workers, progress, named)
+        return Found(above.volume, above.index, above.sums, above.sigma_m, above.parameters)
     base = (v.level_m,) if v.base == "level" else tuple(v.plane)
     relevant, edge, circle = limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
     task = TileTask(base, relevant, edge, circle, a.sigma)
     found = sums_of_cloud(cloud, task, workers, progress)
     sigma = max((s.sigma_m for s in found.sums if s.sigma_m is not None), default=0.0)
-    return Found(whole_volume(found.sums, base_name(parameters)), found.index, found.sums, sigma)
+    volume = whole_volume(found.sums, base_name(parameters))
+    return Found(volume, found.index, found.sums, sigma, parameters)
 
 
 def shares(progress: Progress) -> Callable[[str, int, int], None]:
@@ -130,15 +135,17 @@ def shares(progress: Progress) -> Callable[[str, int, int], None]:
     return report
 
 
-def facts_of(found: Found, a: argparse.Namespace, parameters: Parameters) -> dict[str, Any]:
+def facts_of(found: Found, a: argparse.Namespace) -> dict[str, Any]:
     """What the JSON says: that of ``volume``, and the tiles."""
-    index, sums, ground = found.index, found.sums, parameters.volume.base == "ground"
+    index, sums, parameters = found.index, found.sums, found.parameters
+    ground = parameters.volume.base == "ground"
     estimated = "root mean square over the tiles" if ground else "tile by tile"
     doubts = (*index.doubts, *doubts_of(found, ground))
     return {
         **volume_facts(found.volume, parameters),
         "sigma_holds": "noise of the points" + ", and the ground" * ground + " only",
         "footprint": None,
+        "lengths": length_facts(parameters),
         "outline_parts": [],
         "surfaces": [],
         "clean": {"how": "off", "strays": 0, "share": 0.0, "effect_m3": None},

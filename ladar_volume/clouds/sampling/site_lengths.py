@@ -13,13 +13,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
-from ladar_volume.uncertainty.ground_field import mean_spacing
 
 #: Side, m, of the square as large as a site below which the lengths shrink with it.
 YARD_M = 12.0
@@ -30,30 +30,48 @@ MARGIN = 2.5
 HEIGHTS, WIDTHS = ("object_height_m",), ("outline_margin_m", "ground_ring_m")
 
 
-def site_lengths(
-    parameters: Parameters, surface: CloudSurface, named: Collection[str] = ()
-) -> Parameters:
+@dataclass(frozen=True)
+class SiteSize:
+    """area_m2 : sampled · vertices : on it · sigma_m : of one height, NaN where it is not known"""
+
+    area_m2: float
+    vertices: int
+    sigma_m: float
+
+
+def size_of(surface: CloudSurface) -> SiteSize:
+    """The size of the site of a surface."""
+    tin = surface.representation.tin
+    area = float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
+    noise = math.nan if surface.sigma_m is None else float(np.median(surface.sigma_m))
+    return SiteSize(area, int(np.count_nonzero(vertex_mask(tin, tin.relevant))), noise)
+
+
+def site_lengths(parameters: Parameters, site: SiteSize, named: Collection[str] = ()) -> Parameters:
     """The parameters with the lengths of ``volume`` for this site, and the smallest further body.
     What the user ``named`` (keys of ``volume``) stays as it is.
     """
-    tin, p = surface.representation.tin, parameters.volume
-    extent = math.sqrt(float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum()))
-    if not extent > 0:
+    p = parameters.volume
+    if not site.area_m2 > 0:
         return parameters
-    up = across = most = extent / YARD_M
+    up = across = most = math.sqrt(site.area_m2) / YARD_M
     if most > 1.0:
-        seen = tin.vertices[vertex_mask(tin, tin.relevant), :2]
-        noise = 0.0 if surface.sigma_m is None else float(np.median(surface.sigma_m))
         up = across = 1.0
-        if p.object_height_m > 0 and math.isfinite(noise):
-            up = min(max(1.0, RISE * noise / p.object_height_m), most)
+        if p.object_height_m > 0 and math.isfinite(site.sigma_m):
+            up = min(max(1.0, RISE * site.sigma_m / p.object_height_m), most)
         if p.outline_margin_m > 0:
-            across = min(max(1.0, MARGIN * mean_spacing(seen) / p.outline_margin_m), most)
+            spacing = math.sqrt(site.area_m2 / site.vertices)
+            across = min(max(1.0, MARGIN * spacing / p.outline_margin_m), most)
     fitted = {name: up * getattr(p, name) for name in HEIGHTS}
     fitted |= {name: across * getattr(p, name) for name in WIDTHS}
     fitted["min_body_m3"] = up * across**2 * p.min_body_m3
     kept = {name: value for name, value in fitted.items() if name not in named}
     return dataclasses.replace(parameters, volume=dataclasses.replace(p, **kept))
+
+
+def named_lengths(settings: Collection[str]) -> list[str]:
+    """Keys of ``volume`` among settings ``volume.key=value`` of the user."""
+    return [text.partition("=")[0].strip().partition(".")[2] for text in settings]
 
 
 def length_facts(parameters: Parameters) -> dict[str, float]:
