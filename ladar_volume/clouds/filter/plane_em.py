@@ -13,6 +13,7 @@ from ladar_volume.clouds.filter.sharp_planes import (
     MOST,
     bounding_sides,
     distance,
+    fit_plane,
     fit_shares,
     nearest_on_piece,
     nearest_planes,
@@ -37,6 +38,13 @@ FEWEST = 4.0
 #: sigma of each other: nearly so far apart come two planes to lie that share one slab of uniform
 #: noise, where it is a little larger than believed.
 SAME_SINE, SAME_SIGMAS = 0.1, 1.25
+#: Two planes of more noise than believed: nowhere farther apart than this many sigma where their
+#: points are; a gap beyond which a dip between them would show, in sigma; density in the middle
+#: third of it over that about the two planes, below which there is one.
+SLAB_SIGMAS, TOLD_SIGMAS, DIP = 4.0, 2.0, 0.8
+#: Points of two planes are laterally mixed where no more than this share of the variance of their
+#: belonging lies between the squares, this many a side, of a net over them.
+BETWEEN, SQUARES = 0.2, 4
 
 
 class Shares(NamedTuple):
@@ -190,6 +198,94 @@ def merge_coincident(pieces: Pieces, count: int, sigma: float) -> Any:
     return count
 
 
+@leaf_kernel
+def _lateral_square(x: F64, low: F64, step: F64, axis: int | np.intp) -> Any:
+    """Number of the square that a point lies in, in a net over the two axes beside ``axis``."""
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    i = min(int((x[u] - low[u]) / step[u]), SQUARES - 1)
+    return i * SQUARES + min(int((x[v] - low[v]) / step[v]), SQUARES - 1)
+
+
+@kernel
+def laterally_mixed(x: F64, label: I64, a: int, b: int, axis: int | np.intp) -> Any:
+    """Whether the points (m, 3) labelled a and b lie among each other as seen along ``axis``: the
+    squares of a net hardly tell which is which. Two surfaces side by side have squares of their
+    own.
+    """
+    low, step = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(len(label)):
+        if label[i] == a or label[i] == b:
+            for k in range(3):
+                low[k], step[k] = min(low[k], x[i, k]), max(step[k], x[i, k])
+    step[:] = np.maximum((step - low) / SQUARES, 1e-300)
+    number = np.zeros((2, SQUARES * SQUARES))
+    for i in range(len(label)):
+        if label[i] == a or label[i] == b:
+            number[int(label[i] == b), _lateral_square(x[i], low, step, axis)] += 1.0
+    own, other = number[0].sum(), number[1].sum()
+    share, between, squares = other / max(own + other, 1.0), 0.0, -1
+    for c in range(SQUARES * SQUARES):
+        n = number[0, c] + number[1, c]
+        if n > 0.0:
+            between += (number[1, c] - n * share) ** 2 / n
+            squares += 1
+    # chance alone puts as much between the squares as there are squares, less one
+    return between <= share * (1.0 - share) * (BETWEEN * (own + other) + squares)
+
+
+@kernel
+def one_slab(sample: PointSample, pieces: Pieces, a: int, b: int) -> Any:
+    """Whether two planes share one slab of more noise than believed: nearly parallel, nowhere far
+    apart where their labelled points are, these laterally mixed, and as dense midway between the
+    planes as about them.
+    """
+    x, label, p, q = sample.x, pieces.label[: sample.n], pieces.planes[a], pieces.planes[b]
+    c = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    if np.sqrt(max(0.0, 1.0 - c * c)) >= SAME_SINE:
+        return False
+    sign, own, other, middle, ends = 1.0 if c > 0.0 else -1.0, 0, 0, 0, 0
+    for i in range(sample.n):
+        if label[i] != a and label[i] != b:
+            continue
+        own, other = own + (label[i] == a), other + (label[i] == b)
+        d = distance(x[i], p)
+        gap = d - sign * distance(x[i], q)
+        if abs(gap) > SLAB_SIGMAS * sample.sigma:
+            return False
+        if abs(gap) > TOLD_SIGMAS * sample.sigma:
+            middle += abs(d / gap - 0.5) < 1.0 / 6.0
+            ends += min(abs(d / gap), abs(d / gap - 1.0)) < 1.0 / 6.0
+    if own == 0 or other == 0 or 2.0 * middle < DIP * ends:
+        return False
+    return laterally_mixed(x, label, a, b, np.argmax(np.abs(p[:3])))
+
+
+@kernel
+def merge_slabs(sample: PointSample, pieces: Pieces, count: int) -> Any:
+    """Of planes that share one slab, one is left, fitted to the points of both. Returns the number
+    of planes.
+    """
+    limit, k = sample.threshold * sample.threshold, count - 1
+    while k > 0:
+        nearest_planes(sample.x, sample.n, pieces.planes, count, limit, pieces.label)
+        for j in range(k):
+            if one_slab(sample, pieces, j, k):
+                pieces.label[: sample.n][pieces.label[: sample.n] == k] = j
+                fit_plane(
+                    sample.x,
+                    sample.n,
+                    pieces.label,
+                    j,
+                    pieces.planes[j],
+                    pieces.means[j],
+                    pieces.inverses[j],
+                )
+                count = drop_plane(pieces, count, k)
+                break
+        k -= 1
+    return count
+
+
 @kernel
 def _find_bounding_planes(sample: PointSample, pieces: Pieces, count: int) -> None:
     """Label the points with their nearest planes, and see which planes bound each other."""
@@ -248,20 +344,17 @@ def _covariances(sample: PointSample, pieces: Pieces, count: int, shares: Shares
 
 @kernel
 def refine(
-    sample: PointSample,
-    reach: float,
-    pieces: Pieces,
-    count: int,
-    rounds: int,
-    across: float = 0.0,
+    sample: PointSample, reach: float, pieces: Pieces, count: int, rounds: int, across: float = 0.0
 ) -> Any:
     """Share out the points within ``reach`` and refit all planes, in turn until none moves
     (expectation and maximisation), for ``rounds`` at most, and as many again after a plane is
     dropped.
 
-    Planes whose points lie on a line less than ``across`` wide are dropped. Returns the number of
+    Planes that share one slab are merged before, and planes whose points lie on a line less than
+    ``across`` wide are dropped. Returns the number of
     planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
+    count = merge_slabs(sample, pieces, count)
     shares, start, at_first = room_for_shares(sample.n), pieces.planes.copy(), count
     _find_bounding_planes(sample, pieces, count)
     worst = WORSE * _price_pieces(sample, pieces, count, np.inf)
