@@ -22,7 +22,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.locate import barycentric, locate, triangle_index
+from ladar_volume.tin.locate import TriangleIndex, barycentric, locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters
 from ladar_volume.tin.sampled_area import FEWEST, spacings
 
@@ -35,9 +35,8 @@ SHIFTS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 ENOUGH, SQUARE = 400_000, 30.0
 #: A sum of differences above this many times the root of its squares is no chance.
 CHANCE = 2.5
-#: Places in a triangle, and their weights: exact for quadratics.
-PLACES = np.array([(1, 1, 1), (3, 0, 0), (0, 3, 0), (0, 0, 3)]) / 3.0
-WEIGHTS = np.array([9, 1, 1, 1]) / 12.0
+#: Weights of the centre and of each corner of a triangle: exact for quadratics.
+CENTRE, CORNER = 9.0 / 12.0, 1.0 / 12.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def between_points(
     tin = surface.representation.tin
     counts = inside if unknown is None else np.where(unknown, inside, 0.0)
     hidden = bridged_deviation(surface, counts, height)
-    spacing, own = spacings(tin.vertices[:, :2]), along_own_axes(tin.vertices[:, :2])
+    spacing, own = spacing_of(surface), along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
@@ -132,55 +131,104 @@ def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, flo
 
 
 class Places(NamedTuple):
-    """One place in each of m triangles. p : (m, 3) m · where : (m,) triangle of the coarser surface
-    there, -1 for none · own, coarse : (3,), (m, 3) barycentric coordinates in either · part : (m,)
-    m², the area it stands for
+    """Places on a surface. z : (p,) m, its height there · where : (p,) triangle of the coarser
+    surface there, -1 for none · coarse : (p, 3) barycentric coordinates in it
     """
 
-    p: F64
+    z: F64
     where: I64
-    own: F64
     coarse: F64
-    part: F64
+
+
+def on_coarser(coarse: Tin, index: TriangleIndex, p: F64) -> Places:
+    """Places p (p, 3) m of a surface on a coarser one."""
+    where = locate(index, p[:, :2])
+    return Places(p[:, 2], where, barycentric(coarse, np.maximum(where, 0), p[:, :2]))
 
 
 @kernel
-def places_kernel(vertices: F64, corners: I32, place: F64) -> F64:
-    """The place (m, 3) with the same barycentric coordinates (3,) in triangles (m, 3)."""
+def centres_of(vertices: F64, corners: I32) -> F64:
+    """The centres (m, 3) of triangles (m, 3)."""
     out = np.zeros((len(corners), 3))
     for t in range(len(corners)):
         for k in range(3):
             for c in range(3):
-                out[t, c] += place[k] * vertices[corners[t, k], c]
+                out[t, c] += vertices[corners[t, k], c] / 3.0
     return out
 
 
-@kernel
-def add_kernel(
-    z: F64,
-    corners: I32,
-    above: I64,
-    at: Places,
-    differences: F64,
-    gradient: F64,
-    covered: F64,
-) -> None:
-    """Add what a surface lies above a coarser one at one place in each triangle: to the
-    differences (m,), m³, their gradient (n,) by the heights z (n,), and the area covered of the
-    coarser triangles, whose corners are ``above`` (c, 3).
+def number_vertices(corners: I32, count: int, left_out: I64) -> tuple[I64, I64]:
+    """Rows (p,) of the vertices of triangles (m, 3), each once, in the order in which they come,
+    and the place of each of ``count`` vertices among them: -1 for others, and for those left out.
     """
-    for t in range(len(corners)):
-        where, part = at.where[t], at.part[t]
-        if where < 0:
+    flat, place = corners.reshape(-1), np.full(count, -1, np.int64)
+    at = np.arange(len(flat))
+    place[flat[::-1]] = at[::-1]  # the first of several is written last
+    first = place[flat] == at
+    out = np.zeros(count, np.bool_)
+    out[left_out] = True
+    rows = flat[first & ~out[flat]].astype(np.int64)
+    place[:] = -1
+    place[rows] = np.arange(len(rows))
+    return rows, place
+
+
+class Compared(NamedTuple):
+    """Two surfaces. z : (n,) m, the heights of all vertices · corners : (m, 3) of the triangles ·
+    above : (c, 3) of those of the coarser one
+    """
+
+    z: F64
+    corners: I32
+    above: I64
+
+
+class Differences(NamedTuple):
+    """By how much they differ. volume : (m,) m³ over each triangle · gradient : (n,) m², of their
+    sum by the heights · covered : (c,) m² of the triangles of the coarser surface
+    """
+
+    volume: F64
+    gradient: F64
+    covered: F64
+
+
+@kernel
+def add_kernel(two: Compared, at: Places, row: I64, own: F64, part: F64, sums: Differences) -> None:
+    """Add what one surface lies above the other at one place in each triangle. row : (m,) of that
+    place, -1 where the surfaces meet · own : (3,) its barycentric coordinates · part
+    : (m,) m², the area it stands for
+    """
+    for t in range(len(two.corners)):
+        i = row[t]
+        if i < 0 or at.where[i] < 0:
             continue
-        height = at.p[t, 2]
+        where, height = at.where[i], at.z[i]
         for k in range(3):
-            height -= at.coarse[t, k] * z[above[where, k]]
-            gradient[above[where, k]] -= part * at.coarse[t, k]
-            gradient[corners[t, k]] += part * at.own[k]
-        differences[t] += part * height
-        if at.own.min() > 0.0:  # a corner may lie on an edge of the coarser surface
-            covered[where] += part
+            height -= at.coarse[i, k] * two.z[two.above[where, k]]
+            sums.gradient[two.above[where, k]] -= part[t] * at.coarse[i, k]
+            sums.gradient[two.corners[t, k]] += part[t] * own[k]
+        sums.volume[t] += part[t] * height
+        if own.min() > 0.0:  # a corner may lie on an edge of the coarser surface
+            sums.covered[where] += part[t]
+
+
+def surface_differences(tin: Tin, corners: I32, area: F64, coarse: Tin, kept: I64) -> Differences:
+    """By how much triangles (m, 3) of areas (m,) m² of a surface lie above that of the vertices
+    ``kept`` (k,), by a rule that is exact for quadratics: their centres and corners.
+    """
+    two = Compared(tin.vertices[:, 2].copy(), corners, kept[coarse.source][coarse.triangles])
+    sums = Differences(
+        np.zeros(len(corners)), np.zeros(len(tin.vertices)), np.zeros(len(coarse.triangles))
+    )
+    index = triangle_index(coarse)
+    at = on_coarser(coarse, index, centres_of(tin.vertices, corners))
+    add_kernel(two, at, np.arange(len(corners)), np.full(3, 1.0 / 3.0), CENTRE * area, sums)
+    rows, place = number_vertices(corners, len(tin.vertices), kept)
+    at = on_coarser(coarse, index, tin.vertices[rows])
+    for k in range(3):
+        add_kernel(two, at, place[corners[:, k]], np.eye(3)[k], CORNER * area, sums)
+    return sums
 
 
 def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64, float, float]:
@@ -191,24 +239,15 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64
     tin = surface.representation.tin
     coarse = build_tin(tin.vertices[kept])
     own = np.flatnonzero(inside > 0)
-    corners, above = tin.triangles[own], kept[coarse.source][coarse.triangles]
-    area, z = inside[own], tin.vertices[:, 2].copy()
-    index = triangle_index(coarse)
-    differences, gradient = np.zeros(len(own)), np.zeros(len(tin.vertices))
-    covered = np.zeros(len(coarse.triangles))
-    for place, weight in zip(PLACES, WEIGHTS, strict=True):
-        p = places_kernel(tin.vertices, corners, place)
-        where = locate(index, p[:, :2])
-        b = barycentric(coarse, np.maximum(where, 0), p[:, :2])
-        at = Places(p, where, place, b, weight * area)
-        add_kernel(z, corners, above, at, differences, gradient, covered)
-    size = wide(coarse, covered)
+    corners = tin.triangles[own]
+    sums = surface_differences(tin, corners, inside[own], coarse, kept)
+    size = wide(coarse, sums.covered)
     middle = xy[corners].mean(axis=1)
     low, _ = raster_of(middle, BLOCK * size)
     cell = np.floor((middle - low) / (BLOCK * size)).astype(np.int64)
     number = np.unique(cell @ [1 << 32, 1], return_inverse=True)[1].reshape(-1)
-    blocks: F64 = np.bincount(number, differences).astype(np.float64)
-    return blocks, noise_of(surface, gradient), size
+    blocks: F64 = np.bincount(number, sums.volume).astype(np.float64)
+    return blocks, noise_of(surface, sums.gradient), size
 
 
 def noise_of(surface: CloudSurface, gradient: F64) -> float:
@@ -230,6 +269,13 @@ def bridged_deviation(surface: CloudSurface, inside: F64, height: F64) -> float:
     tin, own = surface.representation.tin, bridges(surface) & (inside > 0)
     corner = height[tin.triangles[own]]
     return float((inside[own] * np.ptp(corner, axis=1)).sum()) / 3.0
+
+
+def spacing_of(surface: CloudSurface) -> F64:
+    """How far apart the vertices lie around each, (n,) m."""
+    tin, found = surface.representation.tin, surface.representation.sampled_area
+    known = found is not None and len(found.spacings_m) == len(tin.vertices)
+    return found.spacings_m if found is not None and known else spacings(tin.vertices[:, :2])
 
 
 def bridges(surface: CloudSurface) -> Bool:

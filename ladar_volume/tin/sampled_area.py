@@ -17,7 +17,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ladar_volume.math.kernels import kernel
@@ -51,7 +50,8 @@ class SampledArea:
     of the points, by the median; NaN where they do not show it, and the hull stands in · holes,
     hole_m2 : enclosed holes that are bridged, and their area · parts : that the sampled area has ·
     bridged : (m,) triangles that count and are wide for the spacing at one of their corners, in
-    such holes or not · beyond : points that stand alone outside it, and are left out
+    such holes or not · spacings_m : (n,) at each vertex · beyond : points that stand alone outside
+    it, and are left out
     """
 
     mask: Bool
@@ -62,6 +62,7 @@ class SampledArea:
     hole_m2: float
     parts: int
     bridged: Bool
+    spacings_m: F64
     beyond: int = 0
 
 
@@ -77,6 +78,22 @@ def cell_numbers(xy: F64, low: F64, size: float, width: int) -> I64:
     return out
 
 
+def beside_full_blocks(raster: Bool) -> Bool:
+    """Cells (a, b) in or beside a block of three by three filled ones."""
+    middle = np.zeros_like(raster)
+    rows = raster[:-2] & raster[1:-1] & raster[2:]
+    middle[1:-1, 1:-1] = rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
+    tall = middle.copy()
+    for k in (1, 2):
+        tall[k:] |= middle[:-k]
+        tall[:-k] |= middle[k:]
+    out = tall.copy()
+    for k in (1, 2):
+        out[:, k:] |= tall[:, :-k]
+        out[:, :-k] |= tall[:, k:]
+    return out
+
+
 def in_filled_cells(xy: F64, size: float) -> Bool:
     """Whether each of places (n, 2) m lies in, or beside, a block of three by three cells of a
     raster that all hold one of them; cells of ``size``.
@@ -86,9 +103,7 @@ def in_filled_cells(xy: F64, size: float) -> Bool:
     cells = cell_numbers(xy, low, size, int(count[1]))
     raster = np.zeros(count, bool)
     raster.reshape(-1)[cells] = True
-    block = np.ones((3, 3), bool)
-    opened = ndimage.binary_dilation(ndimage.binary_erosion(raster, block), block, iterations=2)
-    out: Bool = opened.reshape(-1)[cells]
+    out: Bool = beside_full_blocks(raster).reshape(-1)[cells]
     return out
 
 
@@ -183,7 +198,15 @@ def sampled_area(tin: Tin) -> SampledArea:
     everything = np.ones(len(tin.triangles), bool)
     if np.count_nonzero(known) < 0.5 * len(spacing):
         return SampledArea(
-            everything, float(area.sum()), float(area.sum()), math.nan, 0, 0.0, 1, ~everything
+            everything,
+            float(area.sum()),
+            float(area.sum()),
+            math.nan,
+            0,
+            0.0,
+            1,
+            ~everything,
+            spacing,
         )
     mask = ~peel_gaps(tin, spacing)
     part = parts_kernel(tin.neighbours, mask)
@@ -209,6 +232,7 @@ def sampled_area(tin: Tin) -> SampledArea:
         float(area[gap].sum()),
         int(np.count_nonzero(size > FEWEST // 10)),
         mask & (wide > BRIDGE * corner.min(axis=1)),
+        spacing,
     )
 
 
