@@ -143,7 +143,7 @@ class Places(NamedTuple):
 def on_coarser(coarse: Tin, index: TriangleIndex, p: F64) -> Places:
     """Places p (p, 3) m of a surface on a coarser one."""
     where = locate(index, p[:, :2])
-    return Places(p[:, 2], where, barycentric(coarse, np.maximum(where, 0), p[:, :2]))
+    return Places(p[:, 2], where, barycentric(coarse, where, p[:, :2]))
 
 
 @kernel

@@ -214,21 +214,41 @@ def locate(index: TriangleIndex, xy: F64) -> I64:
     )
 
 
+@kernel
+def barycentric_kernel(vertices: F64, triangles: I32, where: I64, xy: F64) -> F64:
+    """See :func:`barycentric`."""
+    out = np.empty((len(xy), 3))
+    to = np.empty((3, 2))
+    for i in range(len(xy)):
+        if where[i] < 0:
+            out[i] = np.nan
+            continue
+        for k in range(3):
+            for c in range(2):
+                to[k, c] = vertices[triangles[where[i], k], c] - xy[i, c]
+        total = 0.0
+        for k in range(3):
+            u, v = to[(k + 1) % 3], to[(k + 2) % 3]
+            out[i, k] = u[0] * v[1] - u[1] * v[0]
+            total += out[i, k]
+        if total > 0.0:
+            out[i] /= total
+            continue
+        nearest = 0
+        for k in range(1, 3):
+            if (to[k] ** 2).sum() < (to[nearest] ** 2).sum():
+                nearest = k
+        out[i] = 0.0
+        out[i, nearest] = 1.0
+    return out
+
+
 def barycentric(tin: Tin, triangle: I64, xy: F64) -> F64:
     """Barycentric coordinates (n, 3) of points xy (n, 2) in their triangles (n,); rows of NaN for
     triangle −1. In a sliver whose area rounds to nothing the nearest corner has all the weight.
     """
-    p = tin.vertices[:, :2][tin.triangles[triangle]]
-    a, b, c = (p[:, k] - xy for k in range(3))
-    area = np.stack(
-        [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))], axis=1
-    )
-    total = area.sum(axis=1, keepdims=True)
-    thin = total[:, 0] <= 0.0
-    weights: F64 = area / np.where(thin[:, None], 1.0, total)
-    weights[thin] = np.eye(3)[np.argmin(((p[thin] - xy[thin, None]) ** 2).sum(axis=2), axis=1)]
-    weights[triangle < 0] = np.nan
-    return weights
+    places = np.ascontiguousarray(xy, dtype=np.float64)
+    return np.asarray(barycentric_kernel(tin.vertices, tin.triangles, triangle, places))
 
 
 class InterpolatedHeights(NamedTuple):

@@ -76,6 +76,30 @@ def test_barycentric_coordinates():
     )
 
 
+def plain_barycentric(tin, triangle, xy):
+    """By areas, all places at once."""
+    p = tin.vertices[:, :2][tin.triangles[triangle]]
+    a, b, c = (p[:, k] - xy for k in range(3))
+    area = np.stack([np.linalg.det(np.stack(q, axis=1)) for q in ((b, c), (c, a), (a, b))], axis=1)
+    weights = area / area.sum(axis=1, keepdims=True)
+    weights[triangle < 0] = np.nan
+    return weights
+
+
+def test_barycentric_coordinates_are_shares_of_area():
+    tin, rng = surface(), np.random.default_rng(6)
+    xy = rng.uniform(-12, 13, (300, 2))
+    where = locate(triangle_index(tin), xy)
+    assert 0 < np.count_nonzero(where < 0) < 300
+    found = barycentric(tin, where, xy)
+    np.testing.assert_allclose(found, plain_barycentric(tin, where, xy), rtol=1e-12, atol=1e-15)
+    # three corners in a line: the nearest has all the weight
+    line = build_tin(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]))
+    flat = dataclasses.replace(line, vertices=np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]))
+    corner = flat.vertices[flat.triangles[0], :2]
+    assert barycentric(flat, np.array([0]), corner[1:2] + 0.2).tolist() == [[0.0, 1.0, 0.0]]
+
+
 def test_one_triangle_and_no_points():
     tin = build_tin(np.array([[0, 0, 1.0], [1, 0, 2], [0, 1, 3]]))
     index = triangle_index(tin)
