@@ -23,6 +23,7 @@ from ladar_volume.change.spherical_tin import (
 )
 from ladar_volume.change.two_surfaces import (
     TwoSurfaces,
+    near_polygon,
     published_difference,
     select_regions,
     two_surface_budget,
@@ -32,7 +33,7 @@ from ladar_volume.mesh.tetrahedra import signed_tetrahedra, surface_area
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.registration.transform import Transform
-from ladar_volume.volume.polygon import check_polygon
+from ladar_volume.volume.polygon import check_polygon, signed_area
 
 #: The margin where none is given, as a share of the region's smaller side, and the spacing of the
 #: ring in spacings of the points.
@@ -152,10 +153,14 @@ def hull_polygon(points: F64, inward_m: float = 0.0) -> F64:
 
 
 def narrowest(xy: F64) -> float:
-    """Width, m, of the narrowest strip that holds places (n, 2); 0 for places in one line."""
+    """Width, m, of the narrowest strip that holds places (n, 2), or places (n, 3) as they lie on
+    the plane through them; 0 for places in one line.
+    """
     if len(xy) < 3:
         return 0.0
     at = xy - xy.mean(axis=0)
+    if at.shape[1] == 3:
+        at = at @ np.linalg.svd(at, full_matrices=False)[2][:2].T
     try:
         corner = at[ConvexHull(at).vertices]
     except QhullError:
@@ -172,8 +177,9 @@ def region_of(
     spacing_m: float | None = None,
 ) -> Region:
     """A region with what is not given filled in: the hull of A's points in plan less the margin, a
-    margin of a tenth of the smaller side (of the hull's width), a ring at twice the spacing of A's
-    points. Raises :class:`VolumeError` for corners that make no polygon.
+    margin of a tenth of the region's width, a ring at twice the spacing of A's points.
+
+    Raises :class:`VolumeError` for corners that make no polygon.
     """
     a = np.asarray(points_a, dtype=np.float64)
     outline = np.asarray(a[:, :2] if corners is None else corners, dtype=np.float64)
@@ -187,11 +193,7 @@ def region_of(
             "a region is a polygon of at least three finite corners, x, y or x, y, z",
             reason="region_polygon",
         )
-    size = np.sort(np.ptp(outline, axis=0))[-2:]
-    if margin_m is None:
-        margin = MARGIN_SHARE * (narrowest(outline) if corners is None else float(size[0]))
-    else:
-        margin = float(margin_m)
+    margin = MARGIN_SHARE * narrowest(outline) if margin_m is None else float(margin_m)
     if not 0.0 <= margin < np.inf:
         raise VolumeError(
             f"a margin of {margin:g} m; it must be 0 or more", reason="region_margin", value=margin
@@ -199,14 +201,26 @@ def region_of(
     if corners is None:
         outline = hull_polygon(a, margin)
         # the points on the sides that the outline came from are within it, wherever the cloud lies
-        margin += ON_SIDE * float(size[1]) + 4.0 * float(np.spacing(np.abs(a).max()))
+        wide = float(np.ptp(a[:, :2], axis=0).max())
+        margin += ON_SIDE * wide + 4.0 * float(np.spacing(np.abs(a).max()))
     if outline.shape[1] == 2:
         outline = check_polygon(outline)
     if spacing_m is None:
-        low, high = outline.min(axis=0), outline.max(axis=0)
-        near = ((a[:, : outline.shape[1]] >= low) & (a[:, : outline.shape[1]] <= high)).all(axis=1)
-        spacing_m = RING_SPACINGS * float(np.sqrt(size.prod() / max(int(near.sum()), 16)))
+        spacing_m = RING_SPACINGS * spacing_within(a, outline)
     return Region(outline, margin, float(spacing_m))
+
+
+def spacing_within(points: F64, corners: F64) -> float:
+    """Spacing, m, of points (n, 3) within a polygon in plan (c, 2), or within the box of one in
+    space (c, 3).
+    """
+    if corners.shape[1] == 2:
+        area = abs(signed_area(corners - corners[0]))
+        near = near_polygon(points[:, :2], corners, 0.0)
+    else:
+        area = float(np.sort(np.ptp(corners, axis=0))[-2:].prod())
+        near = ((points >= corners.min(axis=0)) & (points <= corners.max(axis=0))).all(axis=1)
+    return float(np.sqrt(area / max(int(near.sum()), 16)))
 
 
 def select(a: Scan, b: Scan, region: Region, margin_m: float | None = None) -> tuple[Bool, Bool]:
