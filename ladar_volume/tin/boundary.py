@@ -14,7 +14,13 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.relevant import artificial_vertices, edge_lengths, mark_relevant
+from ladar_volume.tin.relevant import (
+    LIMIT_SHARE,
+    artificial_vertices,
+    edge_lengths,
+    mark_relevant,
+    widened,
+)
 
 
 @dataclass(frozen=True)
@@ -134,7 +140,7 @@ def ears(tin: Tin, mask: Bool, max_edge_m: float) -> Bool:
     become one when others go.
     """
     left = mask.copy()
-    ears_kernel(tin.neighbours, edge_lengths(tin), left, float(max_edge_m))
+    ears_kernel(tin.neighbours, edge_lengths(tin), left, widened(tin, float(max_edge_m)))
     return mask & ~left
 
 
@@ -145,7 +151,7 @@ def islands(tin: Tin, mask: Bool, min_area_m2: float) -> Bool:
     part = parts_kernel(tin.neighbours, mask)
     area = np.bincount(part[mask], footprint_areas(tin.vertices, tin.triangles)[mask])
     out = mask.copy()
-    out[mask] = area[part[mask]] < min_area_m2
+    out[mask] = area[part[mask]] * (1.0 + LIMIT_SHARE) < min_area_m2
     return out
 
 
@@ -163,7 +169,7 @@ def holes(tin: Tin, mask: Bool, max_area_m2: float) -> Bool:
         (tin.neighbours < 0) | np.isin(tin.triangles, artificial_vertices(tin)), axis=1
     )
     closed = np.bincount(part, outside[off]) == 0
-    fill: Bool = np.logical_and(area <= max_area_m2, closed)
+    fill: Bool = np.logical_and(area <= max_area_m2 * (1.0 + LIMIT_SHARE), closed)
     off[off] = fill[part]
     return off
 

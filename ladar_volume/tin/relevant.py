@@ -10,12 +10,15 @@ import numpy as np
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import area_kernel
+from ladar_volume.tin.full_tin import area_kernel, footprint_areas
 
 #: How relevant triangles are told from others.
 OPTIONS = ("all", "corners", "edge", "circumcircle")
 #: Squares below, m², round to nothing or nearly so; a square root alone takes a third of the time.
 TINY = 1e-290
+#: A limit holds for what exceeds it by rounding alone: by this share of it, or by so many steps of
+#: the coordinates. Sides of a lattice that is turned are not all as long as they were.
+LIMIT_SHARE, STEPS = 1e-9, 16.0
 
 
 @leaf_kernel
@@ -67,6 +70,17 @@ def circumdiameters(tin: Tin) -> F64:
     return np.asarray(circle_kernel(tin.vertices, tin.triangles))
 
 
+def step_of(tin: Tin) -> float:
+    """What lengths between vertices may be off by, m, since coordinates are rounded."""
+    xy = tin.vertices[:, :2]
+    return STEPS * float(np.spacing(np.abs(xy).max())) if len(xy) else 0.0
+
+
+def widened(tin: Tin, limit_m: float) -> float:
+    """A limit of lengths, m, with what is rounding alone."""
+    return limit_m * (1.0 + LIMIT_SHARE) + step_of(tin)
+
+
 def artificial_vertices(tin: Tin) -> I64:
     """Vertices (k,) that are no data points (map corners): their source is -1."""
     return np.flatnonzero(tin.source < 0)
@@ -115,9 +129,9 @@ def relevant_triangles(
         mask &= ~np.isin(tin.triangles, artificial).any(axis=1)
     if option == "edge":
         for edge in edge_lengths(tin).T:
-            mask &= edge <= max_edge_m
+            mask &= edge <= widened(tin, max_edge_m)
     elif option == "circumcircle":
-        mask &= circumdiameters(tin) <= max_circumdiameter_m
+        mask &= circumdiameters(tin) <= widened(tin, max_circumdiameter_m)
     return mask
 
 
@@ -140,9 +154,11 @@ def with_relevant(
 
 def mark_relevant(tin: Tin, mask: Bool, by: str) -> Tin:
     """The same TIN with the triangles in ``mask`` (m,) relevant; the others stay in it. Raises
-    :class:`SurfaceError` where none is left.
+    :class:`SurfaceError` where none is left that has an area: slivers between points in one line,
+    whose area is rounding, are none.
     """
-    if not mask.any():
+    flat = edge_lengths(tin, mask).max(axis=1, initial=0.0).sum() * step_of(tin)
+    if not np.abs(footprint_areas(tin.vertices, tin.triangles[mask])).sum() > flat:
         raise SurfaceError(
             f"no relevant triangle is left of {len(mask)} ({by})",
             reason="surface_no_relevant",

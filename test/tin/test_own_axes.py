@@ -8,8 +8,11 @@ import pytest
 from ladar_volume.clouds.cloud_cleaning import clean
 from ladar_volume.clouds.cloud_noise import cloud_noise
 from ladar_volume.math.own_axes import along_own_axes, raster_of
+from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64
-from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.boundary import ears
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.tin.relevant import with_relevant
 from ladar_volume.tin.sampled_area import sampled_area, spacings
 
 
@@ -69,3 +72,30 @@ def test_a_raster_holds_all_places_and_a_lattice_in_the_middle_of_its_cells() ->
         place = np.floor((xy - low) / cell)
         assert (place >= 0).all()
         assert (place < count).all()
+
+
+@pytest.mark.parametrize("degrees", [0.0, 33.0, 90.0, 301.0])
+@pytest.mark.parametrize("far", [0.0, 4e5])
+def test_a_lattice_s_own_lengths_as_limits(degrees: float, far: float) -> None:
+    """Sides of 0.2 m, diagonals and circles of 0.2 √2: rounding does not tell which count."""
+    x, y = np.meshgrid(np.arange(31) * 0.2, np.arange(21) * 0.2)
+    r = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    tin = build_tin(turned(r, degrees) + np.array([far, 13.0 * far, 0.0]))
+    area = 6.0 * 4.0
+    for option in ("edge", "circumcircle"):
+        marked = with_relevant(tin, option, 0.2 * np.sqrt(2.0), 0.2 * np.sqrt(2.0))
+        assert footprint_areas(marked.vertices, marked.triangles)[marked.relevant].sum() == (
+            pytest.approx(area, rel=1e-6)
+        )
+    assert not ears(tin, tin.relevant, 0.2 * np.sqrt(2.0)).any()
+    with pytest.raises(SurfaceError, match="no relevant triangle"):
+        with_relevant(tin, "edge", 0.2, np.inf)
+
+
+def test_slivers_on_the_outline_alone_are_no_surface() -> None:
+    """Points in rows, turned: rounding leaves triangles of no area between points of one row."""
+    rng = np.random.default_rng(3)
+    xy = np.column_stack([rng.uniform(0, 10, 3000), np.round(rng.uniform(0, 6, 3000) / 0.3) * 0.3])
+    tin = build_tin(turned(np.column_stack([xy, np.zeros(3000)]), 33.0))
+    with pytest.raises(SurfaceError, match="no relevant triangle"):
+        with_relevant(tin, "edge", 0.2, np.inf)
