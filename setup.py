@@ -73,7 +73,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
-        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml") + glob("config/*.json"))),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*.*"))),
     ],
     python_requires=">=3.11, <3.14",
     install_requires=NEEDED,

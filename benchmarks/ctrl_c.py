@@ -4,12 +4,15 @@ itself; the log must open with ``mcap`` and ``rosbags`` and lack nothing that it
 a volume that volume_node calls the one "at the end" must be that of the log, replayed, unless the
 player went on after georeference_node had ended and the replay says how much more the log has.
 
-``python -m benchmarks.ctrl_c [--runs N] [--seed N]``
+``python -m benchmarks.ctrl_c [--runs N] [--seed N] [--launch]``. With ``--launch`` the nodes come
+from ``ros2 launch ladar_volume online.launch.py`` on a terminal of its own, where Ctrl-C is typed:
+in a shell where Jazzy and the package are sourced.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -18,10 +21,13 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import yaml
 from mcap.reader import make_reader
 
 from benchmarks.kill_logger import check
@@ -29,6 +35,7 @@ from ladar_volume.io.bags import BagReader
 from ladar_volume.io.logs.heard_live import absent_words, heard_and_logged, lacking_words
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.survey_parameters import SurveyParameters
+from ladar_volume.process.private_graph import private_graph
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
@@ -36,6 +43,7 @@ from ladar_volume.simulation.suited_parameters import SUITED
 from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[1]
+PROGRAM = ["-m", "ladar_volume.nodes.programs"]
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node")
 #: Length of the survey, times real time at which it plays, latest signal (s): in every fourth run
 #: after the begin of the survey, in the others after the first volume.
@@ -70,66 +78,140 @@ GOALS = {
 
 
 def recording(path: Path, seed: int) -> Path:
-    """A thinned flight over a stockpile."""
+    """A thinned flight over a stockpile, for nodes that hear all of it."""
     scene = make_scene("stockpile", seed)
     platform = make_platform("uav", scene.extent_m, FLIGHT_S)
     survey = Survey(scene, platform, BudgetParameters(), SurveyParameters(FLIGHT_S, 8, seed=seed))
     suited = {s: dict(v) for s, v in SUITED["pile"].items()}
     write_bag(survey, path, suited, lambda share: None)
+    given = yaml.safe_load((path / "config.yaml").read_text())
+    given["/**"]["ros__parameters"]["node"] = {"input_reliability": "reliable", "input_depth": 2000}
+    (path / "config.yaml").write_text(yaml.safe_dump(given))
     return path
 
 
-def started(words: list[str], domain: int) -> subprocess.Popen[str]:
-    """A process on a domain of its own, on the loopback."""
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
+def environment(graph: dict[str, str]) -> dict[str, str]:
+    """That of a process in the graph which imports this tree."""
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return os.environ | graph | {"PYTHONPATH": os.pathsep.join(paths)}
+
+
+def started(words: list[str], graph: dict[str, str]) -> subprocess.Popen[str]:
+    """A Python process in the graph."""
+    pipe = subprocess.PIPE
     return subprocess.Popen(
         [sys.executable, *words],
+        env=environment(graph),
         cwd=ROOT,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
         text=True,
+        stdout=pipe,
+        stderr=pipe,
     )
 
 
+class Processes:
+    """The nodes as a process each; signals come to them in random order."""
+
+    def __init__(self, config: Path, log: Path, graph: dict[str, str]) -> None:
+        given = {"config_file": config, "logger.path": log}
+        words = [w for key, value in given.items() for w in ("-p", f"{key}:={value}")]
+        self.nodes = {n: started([*PROGRAM, n, "--ros-args", *words], graph) for n in NODES}
+
+    def interrupt(self, player: subprocess.Popen[str], rng: random.Random) -> None:
+        """Ctrl-C for all."""
+        together = [player, *self.nodes.values()]
+        for process in rng.sample(together, len(together)):
+            process.send_signal(signal.SIGINT)
+
+    def ends(self) -> tuple[dict[str, str], dict[str, int]]:
+        """Once all have ended: their words and exit codes."""
+        said = {n: "".join(p.communicate(timeout=200)) for n, p in self.nodes.items()}
+        return said, {n: p.returncode for n, p in self.nodes.items()}
+
+    def kill(self) -> None:
+        """End what has not ended."""
+        for process in self.nodes.values():
+            process.kill()
+            process.wait()
+
+
+class Launched:
+    """The nodes by ``ros2 launch`` on a terminal: Ctrl-C reaches launch and all nodes at once."""
+
+    def __init__(self, config: Path, log: Path, graph: dict[str, str]) -> None:
+        self.terminal, inner = os.openpty()
+        words = ["ros2", "launch", "ladar_volume", "online.launch.py"]
+        self.launch = subprocess.Popen(
+            [*words, f"config:={config}", f"log:={log}"],
+            env=environment(graph),
+            preexec_fn=lambda: os.login_tty(inner),
+        )
+        os.close(inner)
+        self.text = b""
+        self.reader = threading.Thread(target=self._read)
+        self.reader.start()
+
+    def _read(self) -> None:
+        with contextlib.suppress(OSError):  # the terminal's end, once nobody has it open
+            while part := os.read(self.terminal, 4096):
+                self.text += part
+
+    def interrupt(self, player: subprocess.Popen[str], rng: random.Random) -> None:
+        """Ctrl-C, typed; the player is another terminal's."""
+        first, last = rng.sample([self.type_ctrl_c, partial(player.send_signal, signal.SIGINT)], 2)
+        first()
+        last()
+
+    def type_ctrl_c(self) -> None:
+        """As a person does it."""
+        os.write(self.terminal, b"\x03")
+
+    def ends(self) -> tuple[dict[str, str], dict[str, int]]:
+        """Once launch has ended: the words of each node, and what launch says of its end."""
+        self.launch.wait(timeout=200)
+        self.reader.join(timeout=10)
+        text = self.text.decode(errors="replace")
+        said = {n: "\n".join(re.findall(rf"\[{n}-\d+\].*", text)) for n in NODES}
+        clean = {n: "process has finished cleanly" in words for n, words in said.items()}
+        return said, {n: int(not clean[n]) for n in NODES}
+
+    def kill(self) -> None:
+        """End what has not ended."""
+        if self.launch.poll() is None:
+            os.killpg(self.launch.pid, signal.SIGKILL)
+            self.launch.wait()
+        os.close(self.terminal)
+
+
 def interrupted(
-    bag: Path, log: Path, rng: random.Random, domain: int, early: bool
+    bag: Path, log: Path, rng: random.Random, launched: bool, early: bool
 ) -> dict[str, Any]:
     """One run: what the nodes said, their exit codes, and how long they took to end (s). early :
     signalled after the begin of the survey, else after the first volume.
     """
-    given = {"config_file": bag / "config.yaml", "logger.path": log}
-    given |= {"node.input_reliability": "reliable", "node.input_depth": 2000}
-    words = [w for key, value in given.items() for w in ("-p", f"{key}:={value}")]
-    program = ["-m", "ladar_volume.nodes.programs"]
-    nodes = {n: started([*program, n, "--ros-args", *words], domain) for n in NODES}
-    player = None
-    try:
-        if started(["-c", READY, *NODES], domain).wait(timeout=240):
-            raise RuntimeError("the nodes did not start")
-        first = None if early else started(["-c", FIRST], domain)
-        # a log is of what came once it listened: georeference_node and it
-        player = started([*program, "player", str(bag), str(RATE), "2"], domain)
-        delay = rng.uniform(0.0, LATEST_S)
-        if first is None:
-            delay += 1.5  # the player looks for listeners first
-        else:
-            first.wait(timeout=90)
-        time.sleep(delay)
-        began = time.monotonic()
-        together = [player, *nodes.values()]
-        for process in rng.sample(together, len(together)):
-            process.send_signal(signal.SIGINT)
-        said = {n: "".join(p.communicate(timeout=200)) for n, p in nodes.items()}
-    finally:
-        for process in (*nodes.values(), *([player] if player else [])):
-            process.kill()
-            process.wait()
-    codes = {n: p.returncode for n, p in nodes.items()}
+    with private_graph() as graph:
+        nodes = (Launched if launched else Processes)(bag / "config.yaml", log, graph)
+        player = None
+        try:
+            if started(["-c", READY, *NODES], graph).wait(timeout=240):
+                raise RuntimeError("the nodes did not start")
+            first = None if early else started(["-c", FIRST], graph)
+            # a log is of what came once it listened: georeference_node and it
+            player = started([*PROGRAM, "player", str(bag), str(RATE), "2"], graph)
+            delay = rng.uniform(0.0, LATEST_S)
+            if first is None:
+                delay += 1.5  # the player looks for listeners first
+            else:
+                first.wait(timeout=90)
+            time.sleep(delay)
+            began = time.monotonic()
+            nodes.interrupt(player, rng)
+            said, codes = nodes.ends()
+        finally:
+            nodes.kill()
+            if player is not None:
+                player.kill()
+                player.wait()
     return {"said": said, "codes": codes, "delay_s": delay, "took_s": time.monotonic() - began}
 
 
@@ -179,7 +261,7 @@ def complete(log: Path) -> str:
     return "no account: it was not closed"
 
 
-def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
+def interrupt_often(runs: int, seed: int, folder: Path, launched: bool) -> list[dict[str, Any]]:
     """One dictionary per run, as :func:`interrupted`, with ``log`` (what is wrong with it), ``end``
     (the volume said to be at the end), ``replay`` (that of the log) and ``wrong``.
     """
@@ -188,7 +270,7 @@ def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
     bag = recording(folder / "bag", 5)
     for n in range(runs):
         log = folder / f"log{n}.mcap"
-        run = interrupted(bag, log, rng, (os.getpid() + n) % 90 + 10, n % 4 == 0)
+        run = interrupted(bag, log, rng, launched, n % 4 == 0)
         end = re.search(r"volume at the end: ([\d.]+) m3", run["said"]["volume_node"])
         incomplete = "incomplete volume" in run["said"]["volume_node"]
         run |= {"log": complete(log), "end": float(end[1]) if end else None}
@@ -209,10 +291,10 @@ def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def run(runs: int = 20, seed: int = 1) -> dict[str, float | int | str]:
+def run(runs: int = 20, seed: int = 1, launched: bool = False) -> dict[str, float | int | str]:
     """Figures of so many runs."""
     with tempfile.TemporaryDirectory() as folder:
-        found = interrupt_often(runs, seed, Path(folder))
+        found = interrupt_often(runs, seed, Path(folder), launched)
     return {
         "runs": len(found),
         "logs complete, %": 100.0 * sum(not r["log"] for r in found) / len(found),
@@ -230,6 +312,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--launch", action="store_true", help="the nodes by ros2 launch")
     arguments = parser.parse_args()
-    for name, value in run(arguments.runs, arguments.seed).items():
+    for name, value in run(arguments.runs, arguments.seed, arguments.launch).items():
         print(f"{name}: {value}")

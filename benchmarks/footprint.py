@@ -21,6 +21,8 @@ from pathlib import Path
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 
+from ladar_volume.process.private_graph import join_private_graph
+
 ROOT = Path(__file__).parents[1]
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node")
 STARTS, TIMEOUT_S = 3, 300.0
@@ -154,8 +156,7 @@ def heard(name: str, environment: dict[str, str], folder: str) -> tuple[float, f
 
 def run() -> dict[str, float | int | str]:
     """Import time, start time and resident size of every node."""
-    os.environ["ROS_DOMAIN_ID"] = str(os.getpid() % 90 + 10)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    join_private_graph()
     environment = dict(os.environ)
     out: dict[str, float | int | str] = {}
     rclpy.init(args=[])

@@ -32,6 +32,7 @@ from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.model.records import Fix, Returns
 from ladar_volume.nodes.convert import header, table_message
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.process.private_graph import join_private_graph
 
 S = 1_000_000_000
 NUMBERS = (
@@ -286,6 +287,7 @@ def fuzz(count: int, seed: int) -> dict[str, Any]:
     """``count`` mutated messages: ``missing`` from the books, what was ``taken``, and the
     ``losses`` by reason.
     """
+    join_private_graph()
     rclpy.init(args=[])
     try:
         node = GeoreferenceNode(

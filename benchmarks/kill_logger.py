@@ -33,6 +33,7 @@ from ladar_volume.io.bags import TYPESTORE
 from ladar_volume.io.mcap_recovery import is_complete
 from ladar_volume.io.recorder import Recorder, log_files
 from ladar_volume.model.parameters import LoggerParameters
+from ladar_volume.process.private_graph import join_private_graph
 
 ROOT = Path(__file__).parents[1]
 CLOUD_BYTES, CLOUD_HZ, IMU_HZ = 660_000, 10, 100
@@ -151,13 +152,9 @@ def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
     """
     rng, base, sent = random.Random(20), folder / "log.mcap", Sent(folder / "sent")
     python = [sys.executable, "-m"]
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str(os.getpid() % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    environment["FASTDDS_BUILTIN_TRANSPORTS"] = (
-        "UDPv4"  # shared memory left by a killed process delays the next one's discovery
-    )
+    join_private_graph()
+    # shared memory left by a killed process delays the next one's discovery
+    environment = os.environ | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     settings = [
         w for s in (f"path:={base}", "disk_reserve_bytes:=0") for w in ("-p", f"logger.{s}")
     ]

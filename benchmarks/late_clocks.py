@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 
 from ladar_volume.io.bags import BagReader
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.process.private_graph import join_private_graph
 
 BAG = Path(__file__).parents[1] / "bags" / "box"
 S, SECONDS = 1_000_000_000, 25
@@ -94,6 +95,7 @@ def run() -> dict[str, float]:
 
 
 if __name__ == "__main__":
+    join_private_graph()
     rclpy.init(args=[])
     print(run())
     rclpy.try_shutdown()

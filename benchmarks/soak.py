@@ -49,6 +49,7 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
+from ladar_volume.process.private_graph import join_private_graph
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform, platform_for
 from ladar_volume.simulation.scenes import Ground, make_scene, pile
@@ -577,8 +578,7 @@ def soak(
     nodes: tuple[str, ...] = NODES,
 ) -> dict[str, Any]:
     """Fly for ``seconds`` with the faults; over a site of ``site_m`` a side, if that is not 0."""
-    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    join_private_graph()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bag = (

@@ -6,13 +6,14 @@ config/sros2_policy.xml; ``ros2 security create_permission`` makes permissions o
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
+
+from ladar_volume.process.private_graph import join_private_graph
 
 FILE = Path(__file__).parents[1] / "config" / "sros2_policy.xml"
 SETTLE_S = 2.0
@@ -99,8 +100,7 @@ def policy(found: dict[str, Names]) -> str:
 
 def main() -> int:
     """Write the policy, or with --print print it."""
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
+    join_private_graph()
     text = policy(seen())
     if "--print" in sys.argv:
         sys.stdout.write(text)

@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import dataclasses
 import json
-import os
 import shutil
 import sys
 import tempfile
@@ -31,6 +30,7 @@ from ladar_volume.io.surveys import read_survey
 from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.process.numpy_names import hide_numpy_tools
+from ladar_volume.process.private_graph import join_private_graph
 from ladar_volume.volume.estimator import VolumeEstimator
 
 if TYPE_CHECKING:  # ROS is loaded where the graph begins
@@ -85,9 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.warm:
         return compile_all()
     if arguments.play is not None:
-        # a recording's graph is this computer's own affair
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
+        join_private_graph()  # a recording's graph is this computer's own affair
     parameters = parameters_of(arguments)
     folder = results.output_folder(arguments.output)
     console = Console(stderr=arguments.json)

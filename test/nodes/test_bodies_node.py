@@ -114,7 +114,7 @@ print(
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bodies")
-    return result_of(SCRIPT, folder / "out", timeout_s=600, domain=9)
+    return result_of(SCRIPT, folder / "out", timeout_s=600)
 
 
 def test_the_bodies_are_those_of_replay(seen):

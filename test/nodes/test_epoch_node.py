@@ -130,7 +130,7 @@ print(
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("epoch")
-    return folder / "out", result_of(SCRIPT, folder / "out", timeout_s=300, domain=5)
+    return folder / "out", result_of(SCRIPT, folder / "out", timeout_s=300)
 
 
 def test_the_change_since_the_epoch_is_a_row_of_the_volumes(seen):

@@ -169,7 +169,7 @@ print(
 
 
 def test_a_flush_hands_on_all_points_that_came():
-    found = result_of(SCRIPT, timeout_s=300, domain=7)
+    found = result_of(SCRIPT, timeout_s=300)
     assert found["nothing"] == 0  # nothing sent yet, and nothing to wait for
     assert found["equal"] == [True, True, True]  # the offline surface of the same prefix
     assert (

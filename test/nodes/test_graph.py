@@ -1,13 +1,12 @@
 """The real nodes over real DDS on loopback: the same volume as offline; no input ends a node."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from own_process import result_of
+from own_process import own_graph, result_of
 
 from ladar_volume.cli.main import main
 from ladar_volume.model.parameters import BudgetParameters
@@ -23,13 +22,11 @@ ROOT = Path(__file__).parents[2]
 FIGURES = {"figure.png", "report.html", "report.json"}
 
 
-def environment(offset):
-    """A private domain on loopback."""
-    return os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
+@pytest.fixture
+def environment():
+    """A graph of its own on the loopback."""
+    with own_graph() as variables:
+        yield variables
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +45,7 @@ def flight(tmp_path_factory):
     return path
 
 
-def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, capsys):
+def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, environment, capsys):
     assert (
         main(["replay", str(flight), "--json", "--no-figure", "-o", str(tmp_path / "offline")]) == 0
     )
@@ -69,7 +66,7 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, caps
     ]
     done = subprocess.run(
         [sys.executable, "-m", "ladar_volume.cli.main", *words],
-        env=environment(1),
+        env=environment,
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -258,7 +255,7 @@ print(
 
 
 def test_no_input_ends_a_node_and_every_refusal_is_named():
-    seen = result_of(BAD_INPUT, timeout_s=300, domain=2)
+    seen = result_of(BAD_INPUT, timeout_s=300)
     for reason in (
         "cloud_no_xyz",
         "cloud_row_step",
@@ -280,7 +277,7 @@ def test_no_input_ends_a_node_and_every_refusal_is_named():
     assert seen["compute"][0] is False and "no surface yet" in seen["compute"][1]["error"]
 
 
-def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path):
+def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path, environment):
     bad = tmp_path / "bad.yaml"
     bad.write_text("/**:\n  ros__parameters:\n    filter: {radus_m: 1.0}\n")
     command = [
@@ -293,7 +290,7 @@ def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path):
         f"config_file:={bad}",
     ]
     done = subprocess.run(
-        command, env=environment(3), cwd=ROOT, capture_output=True, text=True, timeout=300
+        command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300
     )
     assert (
         done.returncode == 2
@@ -310,7 +307,7 @@ def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path):
         "-p",
         f"logger.path:={log}",
     ]
-    node = subprocess.Popen(command, env=environment(4), cwd=ROOT)
+    node = subprocess.Popen(command, env=environment, cwd=ROOT)
     try:
         for _ in range(200):
             if log.exists():

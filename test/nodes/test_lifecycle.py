@@ -127,7 +127,7 @@ print(json.dumps(out))
 
 
 def test_lifecycle_parameters_and_a_looping_recording():
-    seen = result_of(SCRIPT, timeout_s=300, domain=7)
+    seen = result_of(SCRIPT, timeout_s=300)
     configured, cleaned = seen["counts"][::2], seen["counts"][1::2]
     assert all("SUCCESS" in c[0] for c in configured) and all(
         c[1:] == configured[0][1:] for c in configured

@@ -79,7 +79,7 @@ print(json.dumps({"answer": json.loads(future.result().message), "lines": lines[
 
 def test_everything_published_is_in_the_files(tmp_path):
     log = tmp_path / "log.mcap"
-    seen = result_of(SCRIPT, log, timeout_s=300, domain=21)
+    seen = result_of(SCRIPT, log, timeout_s=300)
     assert seen["answer"]["finishing"].endswith("log.mcap") and not [
         k for k in seen["lines"] if k.startswith("lost_")
     ]

@@ -159,7 +159,7 @@ print(
 
 
 def test_a_peer_on_loopback_becomes_ros_messages():
-    seen = result_of(SCRIPT, timeout_s=300, domain=11)
+    seen = result_of(SCRIPT, timeout_s=300)
     assert (
         seen["fix"][:3] == pytest.approx([50.1234567, 14.1234567, 295.0])
         and seen["fix"][4] == 2

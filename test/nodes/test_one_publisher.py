@@ -77,7 +77,7 @@ print(json.dumps(out))
 
 
 def test_a_strangers_datum_resets_no_surface():
-    out = result_of(SCRIPT, domain=21)
+    out = result_of(SCRIPT)
     assert out["first"] == [50.0, 50.0]
     assert out["own"] == [[50.5, 50.5], [1, 1]]  # its publisher alone may change it
     where, strangers, changed = out["stranger"]

@@ -73,7 +73,7 @@ def test_every_parameter_that_names_a_file_a_device_or_an_address_is_fixed_at_la
 
 
 def test_a_stranger_sets_no_path_and_a_failed_configure_activates_nothing(tmp_path):
-    out = result_of(SCRIPT, tmp_path, timeout_s=60, domain=45)
+    out = result_of(SCRIPT, tmp_path, timeout_s=60)
     assert out["bad"] is False and out["path"] == f"{tmp_path}/log.mcap"
     for successful, reason in out["answers"]:
         assert not successful and "set at launch" in reason

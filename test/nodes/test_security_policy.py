@@ -6,7 +6,7 @@ from own_process import ROOT, printed_by
 
 
 def test_the_policy_is_that_of_the_nodes():
-    printed = printed_by("tools/sros2_policy.py", "--print", domain=33)
+    printed = printed_by("tools/sros2_policy.py", "--print")
     kept = (ROOT / "config" / "sros2_policy.xml").read_text()
     assert printed == kept, "run tools/sros2_policy.py"
     tree = ET.fromstring(kept)

@@ -3,26 +3,15 @@ volume at the end.
 """
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from own_process import printed_by
+
 FAULTS = "restart_volume_node,nan,outage,fix_clock,lidar_stamps"
 
 
 def test_a_flight_with_faults_ends_with_the_right_volume_and_balanced_books():
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 9) % 90 + 10),
-        "PYTHONPATH": str(ROOT),
-    }
-    command = [sys.executable, "-m", "benchmarks.soak", "--seconds", "45", "--faults", FAULTS]
-    done = subprocess.run(
-        command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    seen = json.loads(done.stdout)
+    command = ("-m", "benchmarks.soak", "--seconds", 45, "--faults", FAULTS)
+    seen = json.loads(printed_by(*command, timeout_s=300))
     assert seen["wrong"] == [] and set(seen["faults"]) == set(FAULTS.split(","))
     lost = seen["losses"]
     assert (

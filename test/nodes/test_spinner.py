@@ -2,13 +2,7 @@
 that runs keeps nothing of its rounds, and hears on after a callback that raised.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, threading, time
@@ -139,23 +133,6 @@ print(
 )
 rclpy.try_shutdown()
 """
-
-
-def result_of(script, *arguments):
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 3) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    run = subprocess.run(
-        [sys.executable, "-c", script, *arguments],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    return json.loads(run.stdout)
 
 
 def test_closing_a_busy_node():

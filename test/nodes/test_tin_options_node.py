@@ -50,7 +50,7 @@ print(json.dumps({"volumes": out, "live": live, "answers": said}))
 
 @pytest.fixture(scope="module")
 def seen():
-    return result_of(SCRIPT, timeout_s=600, domain=9)
+    return result_of(SCRIPT, timeout_s=600)
 
 
 def test_options_reach_the_estimates_of_the_node(seen):

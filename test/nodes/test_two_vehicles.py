@@ -3,7 +3,6 @@ their own topics, and all nodes that are signalled at once still end with all da
 """
 
 import json
-import os
 import random
 import re
 import signal
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from own_process import own_graph
 
 from ladar_volume.cli.main import main
 from ladar_volume.model.parameters import BudgetParameters
@@ -52,13 +52,22 @@ def recording(path, seed):
     return path
 
 
-def environment(offset):
-    """A private domain on loopback."""
-    return os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
+@pytest.fixture
+def start():
+    """Starts processes in a graph of their own on the loopback."""
+    with own_graph() as environment:
+
+        def process(command):
+            return subprocess.Popen(
+                command,
+                cwd=ROOT,
+                env=environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+
+        yield process
 
 
 def up(bag, folder, *more):
@@ -78,17 +87,6 @@ def up(bag, folder, *more):
     return [sys.executable, "-m", "ladar_volume.cli.main", *words, *more]
 
 
-def run(command, offset):
-    return subprocess.Popen(
-        command,
-        cwd=ROOT,
-        env=environment(offset),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
 def answer(process):
     out, err = process.communicate(timeout=240)
     assert process.returncode == 0, err[-2000:]
@@ -106,11 +104,11 @@ def topics_of(log):
         return {c.topic for c in make_reader(stream).get_summary().channels.values()}
 
 
-def test_two_vehicles_on_one_graph_give_what_each_gives_alone(tmp_path, capsys):
+def test_two_vehicles_on_one_graph_give_what_each_gives_alone(tmp_path, start, capsys):
     bags = [recording(tmp_path / f"bag{k}", k) for k in (5, 6)]
     alone = [offline(b, tmp_path / "alone", capsys) for b in bags]
     both = [
-        run(up(b, tmp_path / f"rover{k}", "--ros-args", "-r", f"__ns:=/rover{k}"), 52)
+        start(up(b, tmp_path / f"rover{k}", "--ros-args", "-r", f"__ns:=/rover{k}"))
         for k, b in enumerate(bags)
     ]
     found = [answer(p) for p in both]
@@ -124,15 +122,17 @@ def test_two_vehicles_on_one_graph_give_what_each_gives_alone(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("seed", [1])
-def test_nodes_signalled_at_once_under_load_end_with_all_data_or_say_so(tmp_path, seed, capsys):
+def test_nodes_signalled_at_once_under_load_end_with_all_data_or_say_so(
+    tmp_path, seed, start, capsys
+):
     bag, shuffled = recording(tmp_path / "bag", 5), random.Random(seed)
     log = tmp_path / "log.mcap"
     words = ["-p", f"config_file:={bag / 'config.yaml'}", "-p", f"logger.path:={log}"]
     words += ["-p", "node.input_reliability:=reliable", "-p", "node.input_depth:=2000"]
     program = [sys.executable, "-m", "ladar_volume.nodes.programs"]
-    nodes = {n: run([*program, n, "--ros-args", *words], 60 + seed) for n in NODES}
-    assert run([sys.executable, "-c", READY, *NODES], 60 + seed).wait(timeout=90) == 0
-    player = run([*program, "player", str(bag), "8"], 60 + seed)
+    nodes = {n: start([*program, n, "--ros-args", *words]) for n in NODES}
+    assert start([sys.executable, "-c", READY, *NODES]).wait(timeout=90) == 0
+    player = start([*program, "player", str(bag), "8"])
     try:
         player.wait(timeout=60)
         time.sleep(shuffled.uniform(0.0, 0.3))
@@ -154,12 +154,12 @@ def test_nodes_signalled_at_once_under_load_end_with_all_data_or_say_so(tmp_path
         assert make_reader(stream).get_summary().statistics.message_count > 50  # it has its index
 
 
-def test_a_volume_node_without_any_data_says_at_its_end_that_there_is_no_volume():
+def test_a_volume_node_without_any_data_says_at_its_end_that_there_is_no_volume(start):
     program = [sys.executable, "-m", "ladar_volume.nodes.programs", "volume_node"]
-    node = run(program, 62)
+    node = start(program)
     try:
         watcher = READY.replace(' or watcher.number("volume_node", "joined") != 1', "")
-        assert run([sys.executable, "-c", watcher, "volume_node"], 62).wait(timeout=90) == 0
+        assert start([sys.executable, "-c", watcher, "volume_node"]).wait(timeout=90) == 0
         node.send_signal(signal.SIGINT)
         words = "".join(node.communicate(timeout=60))
     finally:

@@ -2,15 +2,8 @@
 in the diagnostics within five seconds of data, and the one that is right is not.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, socket, sys, time
@@ -154,21 +147,7 @@ NAMED = {
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 41) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(tmp_path_factory.mktemp("log"))],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
-    return json.loads(done.stdout.splitlines()[-1])
+    return result_of(SCRIPT, tmp_path_factory.mktemp("log"))
 
 
 @pytest.mark.parametrize("setup", sorted(NAMED))

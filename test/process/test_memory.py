@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from own_process import printed_by
+
 from ladar_volume.process.memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
 
 ROOT = Path(__file__).parents[2]
@@ -177,19 +179,12 @@ SENT = """if True:
 
 def sent(how):
     """What messages of 60 MB take while they wait, and once they are taken (MB)."""
-    environment = {k: v for k, v in os.environ.items() if k not in (PROFILES, FROM_PROFILES)}
-    environment |= {
-        "ROS_DOMAIN_ID": str((os.getpid() + 11) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", SENT, how], cwd=ROOT, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return [float(word) for word in done.stdout.split()]
+    return [float(word) for word in printed_by("-c", SENT, how).split()]
 
 
-def test_buffers_of_messages_that_were_taken_are_free():
+def test_buffers_of_messages_that_were_taken_are_free(monkeypatch):
+    for name in (PROFILES, FROM_PROFILES):
+        monkeypatch.delenv(name, raising=False)
     waiting, taken = sent("free")
     assert waiting > 50.0 and taken < 10.0
     assert sent("keep")[1] > 50.0  # what Fast DDS does by itself

@@ -1,32 +1,38 @@
 """Scripts that need a Python process of their own, in a ROS graph of their own."""
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+from ladar_volume.process.private_graph import private_graph
+
 ROOT = Path(__file__).parents[2]
 
 
-def printed_by(*command, timeout_s=120, domain=0):
-    """What ``python COMMAND`` prints in the project's folder; a failure shows what it said. The
-    ROS domain is that of this process, moved on by ``domain``: tests that run at once do not hear
-    each other.
+@contextlib.contextmanager
+def own_graph():
+    """The environment of processes with a ROS graph of their own: tests that run at once, in this
+    clone or in another one, do not hear each other.
     """
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "test" / "scenes")]),
-        "ROS_DOMAIN_ID": str((os.getpid() + domain) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    done = subprocess.run(
-        [sys.executable, *map(str, command)],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-    )
+    with private_graph() as graph:
+        paths = os.pathsep.join([str(ROOT), str(ROOT / "test" / "scenes")])
+        yield os.environ | graph | {"PYTHONPATH": paths}
+
+
+def printed_by(*command, timeout_s=120):
+    """What ``python COMMAND`` prints in the project's folder; a failure shows what it said."""
+    with own_graph() as environment:
+        done = subprocess.run(
+            [sys.executable, *map(str, command)],
+            cwd=ROOT,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+        )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
 
