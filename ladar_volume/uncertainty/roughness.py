@@ -30,9 +30,12 @@ ROUNDS = 3
 #: independent errors that are shared, and few lengths of the field. Lengths that are tried at a
 #: time; pairs of points below which a distance says nothing.
 CHANCE, LENGTHS, LEAST_PAIRS = 0.1, 60, 30
-#: Standard deviation of the believed variance of the noise, over itself; and by how much a field
-#: must lessen the weighted sum of squares where the mean square says that there is none.
-DOUBT, SIGNIFICANT = 0.5, 4.0
+#: Standard deviation of the believed variance of the noise, over itself.
+DOUBT = 0.5
+#: By how much a field lessens the weighted sum of squares where it begins to count, and where it
+#: counts whole: where the mean square says that there is one, and where it says that there is none.
+#: In between lie mean squares that exceed the noise by less than this part of its doubt.
+SAID, NOT_SAID, UNDECIDED = (0.0, 0.5), (2.0, 6.0), 0.1
 
 
 @kernel
@@ -228,16 +231,27 @@ def field_from_products(
 ) -> Roughness:
     """The field whose covariances at lags (k,), the first of them 0, were found to be ``value``
     (k,) with variances (k,) from the number of pairs; what else scatters is in proportion to the
-    field. None where neither the variance nor what is between points speaks for one.
+    field. It counts as far as the variance, or what is between points, speaks for one: a limit, at
+    which it counts or does not, would let rounding choose.
     """
     s2, length, g, gain = max(float(value[0]), 0.0), spacing_m / 2, 0.0, 0.0
     for _ in range(ROUNDS):
         s2, length, g, gain = fit_field(
             lag, value, 1.0 / (variance + (CHANCE * s2) ** 2), spacing_m / 2, most_m
         )
-    if value[0] <= 0.0 and gain < SIGNIFICANT:
+    counts = counting_share(float(value[0]) / max(math.sqrt(float(variance[0])), 1e-300), gain)
+    if counts * s2 == 0.0:
         return Roughness(0.0, spacing_m / 2, spacing_m)
-    return Roughness(s2, length, spacing_m, g)
+    return Roughness(counts * s2, length, spacing_m, g)
+
+
+def counting_share(excess: float, gain: float) -> float:
+    """How much of a fitted field's variance counts, 0 to 1. excess : of the mean square over the
+    noise, in its standard deviations · gain : what the field takes from the weighted sum of squares
+    """
+    said = min(max(0.5 + 0.5 * excess / UNDECIDED, 0.0), 1.0)
+    first, whole = (said * a + (1.0 - said) * b for a, b in zip(SAID, NOT_SAID, strict=True))
+    return min(max((gain - first) / (whole - first), 0.0), 1.0)
 
 
 def fit_field(

@@ -29,9 +29,9 @@ SIZES, ENOUGH, MOST = (1.0, 0.7, 0.5, 0.35, 0.25), 6, 12
 CELLS, ACROSS = 56, 8.0
 #: Fewest points of ground under an outline, and most points of ground that are asked.
 FEWEST, POINTS = 20, 4000
-#: Probability below which the spread refutes the base's line, and below which it is a doubt, and
-#: how much larger its variance then is at least.
-REFUTED, DOUBTED, LEAST = 0.05, 1e-3, 2.25
+#: Probability from which down the spread speaks against the base's line, and below which it
+#: refutes it; below which it is a doubt, and how much larger its variance then is at least.
+SPEAKS, REFUTED, DOUBTED, LEAST = 0.2, 0.05, 1e-3, 2.25
 
 
 class NullVolumes(NamedTuple):
@@ -56,8 +56,11 @@ class NullVolumes(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """By how much the variance of the base's line is too small: 1 where nothing says so."""
-        return max(1.0, self.factor) if self.p_value < REFUTED else 1.0
+        """By how much the variance of the base's line is too small: 1 where nothing says so, the
+        factor where the line is refuted, and in proportion to the probability between.
+        """
+        share = min(max((SPEAKS - self.p_value) / (SPEAKS - REFUTED), 0.0), 1.0)
+        return 1.0 + share * max(0.0, self.factor - 1.0)
 
 
 def shape_of(xy: F64, cell_m: float) -> Bool:
