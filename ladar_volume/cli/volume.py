@@ -68,6 +68,7 @@ from ladar_volume.clouds.sampling.site_lengths import (
 )
 from ladar_volume.clouds.sampling.stray_effect import stray_effect
 from ladar_volume.clouds.volume_verdict import (
+    apart_doubts,
     counted_areas,
     places,
     stray_doubts,
@@ -448,6 +449,8 @@ def volume_verdict(
     if task.base == "cloud" and all(s.given_faces is None for s in surfaces):
         volume, more = pair_verdict(volume, surfaces, areas, pair_ground(surfaces))
         verdict += more
+    if task.base == "cloud":
+        verdict += Verdict(tuple(apart_doubts(volume)))
     return JudgedVolume(volume, verdict, {})
 
 

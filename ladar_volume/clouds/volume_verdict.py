@@ -49,6 +49,8 @@ GROWTH = 2.0
 ROUGH = 0.05
 #: What curvature between the points may do, in shares of the volume.
 COARSE = 0.02
+#: Two surfaces further apart than so many widths of what both saw are of unlike units or datums.
+APART_WIDTHS = 2.0
 
 
 @dataclass(frozen=True)
@@ -363,3 +365,16 @@ def counted_areas(surface: CloudSurface, mask: Bool) -> F64:
     """Area (m,) m² of the triangles in the mask (m,), 0 elsewhere."""
     tin = surface.representation.tin
     return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+
+
+def apart_doubts(volume: CloudVolume) -> list[Doubt]:
+    """The two surfaces are further apart than what both saw is wide."""
+    wide = math.sqrt(max(volume.area_m2, 0.0))
+    apart = abs(volume.cut_m3 - volume.fill_m3) / max(volume.area_m2, 1e-300)
+    if not apart > APART_WIDTHS * wide > 0.0:
+        return []
+    words = (
+        f"the two clouds are {apart:.4g} m apart over {wide:.3g} m of width that both saw: are "
+        "they in one unit and one system of heights? Say so with --units or --crs"
+    )
+    return [Doubt("apart", words, apart)]

@@ -139,6 +139,41 @@ def test_degrees_without_a_word_are_refused_and_told_from_metres(volume, tmp_pat
     assert "the header says" in volume(path, "--level", 50)
 
 
+def test_which_column_is_longitude_is_not_guessed_in_silence(volume, tmp_path):
+    r = site(600) + np.array([400_000.0, 5_550_000.0, 50.0])
+    lon, lat = pyproj.Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform(
+        *r.T[:2]
+    )
+    doubts = {}
+    for name, columns in (("right", [lon, lat, r[:, 2]]), ("other", [lat, lon, r[:, 2]])):
+        np.savetxt(tmp_path / f"{name}.xyz", np.c_[tuple(columns)], fmt="%.10f")
+        facts = volume(tmp_path / f"{name}.xyz", "--level", 50, "--crs", "EPSG:4326")
+        doubts[name] = {d["name"]: d["value"] for d in facts["verdict"]["reasons"]}
+        doubts[name]["net"] = facts["net_m3"]
+    assert doubts["right"]["axis_order"] == pytest.approx(1 / doubts["other"]["axis_order"])
+    assert doubts["right"]["net"] * doubts["right"]["axis_order"] == pytest.approx(
+        doubts["other"]["net"], rel=0.02
+    )
+    facts = volume(tmp_path / "right.xyz", "--level", 50, "--crs", "OGC:CRS84")
+    assert "axis_order" not in {d["name"] for d in facts["verdict"]["reasons"]}
+    assert facts["net_m3"] == pytest.approx(doubts["right"]["net"], rel=1e-6)
+    text = "longitude latitude z\n" + (tmp_path / "right.xyz").read_text()
+    (tmp_path / "named.xyz").write_text(text)
+    facts = volume(tmp_path / "named.xyz", "--level", 50, "--crs", "EPSG:4326")
+    assert "axis_order" not in {d["name"] for d in facts["verdict"]["reasons"]}
+
+
+def test_two_clouds_in_unlike_units_are_doubtful(volume, tmp_path):
+    r = site(800) + np.array([0.0, 0.0, 50.0])
+    np.savetxt(tmp_path / "mm.xyz", 1e3 * r)
+    np.savetxt(tmp_path / "m.xyz", r + np.array([0.0, 0.0, 0.1]))
+    for names in (("mm.xyz", "m.xyz"), ("m.xyz", "mm.xyz")):
+        facts = volume(*(tmp_path / name for name in names))
+        assert "apart" in {d["name"] for d in facts["verdict"]["reasons"]}
+    facts = volume(tmp_path / "m.xyz", tmp_path / "m.xyz")
+    assert "apart" not in {d["name"] for d in facts["verdict"]["reasons"]}
+
+
 @pytest.mark.parametrize("size", [0.1, 1.0, 30.0])
 def test_small_and_steep_clouds_in_metres_are_not_taken_for_degrees(size, volume, tmp_path):
     r = site(500) / 40.0 * size + [12.0 * size, 45.0 * size, 3.0]

@@ -193,7 +193,9 @@ def _with_crs(declared: Coordinates, given: Coordinates) -> Coordinates:
             raise _contradiction("the file", unit, "--crs", other, axes)
     if declared.degrees and not given.degrees:
         raise _contradiction("the file", "degrees", "--crs", given.across or METRE, "x and y")
-    return replace(given, up=given.up or declared.up, heights=given.heights or declared.heights)
+    both = "header, --crs" if declared.degrees else given.said_by
+    up, heights = given.up or declared.up, given.heights or declared.heights
+    return replace(given, up=up, heights=heights, said_by=both)
 
 
 def _with_units(declared: Coordinates, across: Unit, up: Unit) -> Coordinates:

@@ -25,6 +25,8 @@ MOST_STRETCH = 0.02
 FARTHEST_M = 1e10
 #: Degrees are told from metres by heights that spread this many times more than the site is wide.
 STEEP = 20.0
+#: Systems that name longitude first, by their numbers in the EPSG register.
+LONGITUDE_FIRST = {"CRS84": 4326, "CRS83": 4269, "CRS27": 4267}
 #: Least share of a metre that one radian of latitude and longitude stands for: the earth's radius.
 EARTH_M = 6_371_000.0
 
@@ -132,6 +134,7 @@ def to_metres(
         r[:, 2] *= up.metres
     crs, factor = declared.crs, (np.nan, up.metres)
     if across is None:
+        doubts += axis_order_doubts(r, declared)
         crs = project_to_utm(r, declared)
     else:
         factor = (across.metres, up.metres)
@@ -177,6 +180,27 @@ def refuse_degrees(r: F64, declared: Coordinates) -> None:
         )
 
 
+def axis_order_doubts(r: F64, declared: Coordinates) -> list[Doubt]:
+    """Degrees by an option alone, whose system names latitude first: x is taken for longitude, as
+    in every file of points, and nothing says whether it is, where both may be latitudes.
+    """
+    flat = None if declared.crs is None else parts_of(declared.crs)[0]
+    if flat is None or declared.said_by != "--crs" or flat.axis_info[0].direction != "north":
+        return []
+    x, y = (float(np.median(c)) for c in r.T[:2])
+    if abs(x) > 84.0:
+        return []
+    ratio = float(np.cos(np.radians(x)) / np.cos(np.radians(y)))
+    if abs(ratio - 1.0) < 1e-3:
+        return []
+    words = (
+        f"x about {x:.5g} is taken for longitude and y about {y:.5g} for latitude, though "
+        f"{declared.name} names latitude first: V would be {ratio:.3g} times as large the other "
+        "way round; name the columns longitude and latitude, or give --crs OGC:CRS84"
+    )
+    return [Doubt("axis_order", words, ratio)]
+
+
 def project_to_utm(r: F64, declared: Coordinates) -> CRS:
     """Project longitude and latitude, degrees, in place to the UTM zone of their median on the same
     datum (no datum is shifted); the CRS, heights included.
@@ -192,6 +216,7 @@ def project_to_utm(r: F64, declared: Coordinates) -> CRS:
         )
     flat, vertical = parts_of(declared.crs)
     assert flat is not None
+    flat = registered(flat)
     lon, lat = r[:, 0], r[:, 1]
     if not (np.abs(lon) <= 360.0).all() or not (np.abs(lat) <= 84.0).all():
         raise InputError(
@@ -208,6 +233,15 @@ def project_to_utm(r: F64, declared: Coordinates) -> CRS:
     if vertical is not None:
         return metric(CompoundCRS(f"{utm.name} + {vertical.name}", [utm, vertical]))
     return utm.to_3d() if len(flat.axis_info) > 2 else utm
+
+
+def registered(flat: CRS) -> CRS:
+    """An OGC system, longitude first, as the register has it; others as they are."""
+    from pyproj import CRS
+
+    authority, code = flat.to_authority() or ("", "")
+    number = LONGITUDE_FIRST.get(code) if authority == "OGC" else None
+    return flat if number is None else CRS.from_epsg(number)
 
 
 def utm_of(flat: CRS, lon: float, lat: float) -> CRS:
