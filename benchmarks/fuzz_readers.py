@@ -63,7 +63,7 @@ def bag(path: Path) -> object:
 
 def survey(path: Path) -> object:
     """The epoch of a survey's file."""
-    from ladar_volume.cli.epochs import survey_of
+    from ladar_volume.cli.epochs.surveys import survey_of
 
     return survey_of(path)
 

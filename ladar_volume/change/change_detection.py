@@ -16,7 +16,7 @@ stand side by side. Each vertex stands for a third of its triangles.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,24 +101,24 @@ def change_map(
     shared = shared_sigma(
         own, other, difference, at, cross if difference.upper_carries else cross.T
     )
-    noise[~used] = np.nan
-    z = np.where(used, difference.tin.vertices[:, 2], np.nan)
+    return map_of_difference(difference, own.tin, noise, shared, coverage_factor)
+
+
+def map_of_difference(
+    difference: Difference, own: Tin, noise: F64, shared: F64, coverage_factor: float
+) -> ChangeMap:
+    """The map of a difference that the surface ``own`` carries; noise, shared : (n,) m, both parts
+    of its sigma at the vertices.
+    """
+    at, n = difference.tin, len(difference.tin.vertices)
+    triangles = at.triangles[at.relevant]
+    part = footprint_areas(at.vertices, triangles) / 3.0
+    stands: F64 = np.bincount(triangles.ravel(), np.repeat(part, 3), n).astype(np.float64)
+    used = np.zeros(n, np.bool_)
+    used[triangles] = True
+    z, noise, shared = (np.where(used, v, np.nan) for v in (at.vertices[:, 2], noise, shared))
     level = coverage_factor * np.hypot(noise, shared)
-    area = (
-        footprint_areas(difference.tin.vertices, difference.tin.triangles[difference.tin.relevant])
-        / 3.0
-    )
-    stands: F64 = np.zeros(len(used))
-    stands += np.bincount(
-        difference.tin.triangles[difference.tin.relevant].ravel(), np.repeat(area, 3), len(used)
-    )
-    tin = Tin(
-        own.tin.vertices,
-        difference.tin.triangles,
-        difference.tin.neighbours,
-        difference.tin.relevant,
-        difference.tin.source,
-    )
+    tin = Tin(own.vertices, at.triangles, at.neighbours, at.relevant, at.source)
     return ChangeMap(tin, z, noise, shared, level, np.abs(z) > level, stands)
 
 
@@ -227,14 +227,11 @@ def weighted_sigma(
 
 
 def threshold_volumes(
-    new: Epoch,
-    previous: Epoch,
-    difference: Difference,
-    change: ChangeMap,
-    coverage_factor: float,
-    separate: Collection[str] = (),
+    change: ChangeMap, coverage_factor: float, sigma_of: Callable[[F64], float]
 ) -> ThresholdedVolumes:
-    """Volumes with the threshold at the level of detection, and what it does to the net volume."""
+    """Volumes with the threshold at the level of detection, and what it does to the net volume.
+    sigma_of : standard deviation, m³, of ``Σ weight_i difference_i`` with weights (n,) m²
+    """
     used, above = change.area_m2 > 0.0, change.significant & (change.area_m2 > 0.0)
     parts = change.area_m2[used] * change.difference_m[used]
     chosen = above[used]
@@ -246,14 +243,14 @@ def threshold_volumes(
     )
     return ThresholdedVolumes(
         up - down,
-        weighted_sigma(new, previous, difference, kept, separate),
+        sigma_of(kept),
         up,
         down,
         float(kept.sum()),
         float(change.area_m2.sum()),
         float(np.median(change.level_m[used])),
         0.0 - float(parts[~chosen].sum()),
-        weighted_sigma(new, previous, difference, rest, separate),
+        sigma_of(rest),
         noise * math.exp(-0.5 * coverage_factor**2),
         noise,
     )

@@ -78,13 +78,7 @@ def stable_ground(
     used = change.area_m2 > 0.0
     total = float(change.area_m2.sum())
     overlap = total / max(min(area(within_outline(new.tin, polygon)), area(previous.tin)), 1e-300)
-    if overlap < NO_OVERLAP:
-        raise VolumeError(
-            f"the two surveys have {total:.3g} m² in common, {100.0 * overlap:.2g} % of the "
-            "smaller one: too little to compare; is it the same place, in the same frame?",
-            reason="epochs_overlap",
-            value=overlap,
-        )
+    check_overlap(total, overlap)
     if named is None:
         weight = np.where(unchanged_vertices(change, used), change.area_m2, 0.0)
     else:
@@ -101,6 +95,19 @@ def stable_ground(
     offset = float(weight[chosen] @ change.difference_m[chosen])
     sigma = weighted_sigma(new, previous, difference, weight, separate)
     return StableGround(offset, sigma, sum_m2 / total, named is not None, overlap, total)
+
+
+def check_overlap(common_m2: float, overlap: float) -> None:
+    """Raises :class:`VolumeError` (epochs_overlap) where two surveys have next to nothing in
+    common; overlap : share of the smaller one.
+    """
+    if overlap < NO_OVERLAP:
+        raise VolumeError(
+            f"the two surveys have {common_m2:.3g} m² in common, {100.0 * overlap:.2g} % of the "
+            "smaller one: too little to compare; is it the same place, in the same frame?",
+            reason="epochs_overlap",
+            value=overlap,
+        )
 
 
 def area(tin: Tin) -> float:
@@ -161,10 +168,15 @@ def with_stable_ground(found: EpochDifference, ground: StableGround) -> EpochDif
 
 def epoch_verdict(ground: StableGround) -> Verdict:
     """What speaks against a difference of two surveys."""
-    doubts = []
     if ground.is_significant:
-        doubts.append(registration_doubt(ground))
-    elif not ground.named and ground.share < LEAST_SHARE:
+        return Verdict((registration_doubt(ground), *overlap_doubts(ground)))
+    return Verdict(tuple(coverage_doubts(ground)))
+
+
+def coverage_doubts(ground: StableGround) -> list[Doubt]:
+    """How much of what both cover did not change, and how much both cover."""
+    doubts = []
+    if not ground.named and ground.share < LEAST_SHARE:
         doubts.append(
             Doubt(
                 "no_stable_ground",
@@ -174,17 +186,19 @@ def epoch_verdict(ground: StableGround) -> Verdict:
                 ground.share,
             )
         )
-    if ground.overlap < SMALL_OVERLAP:
-        doubts.append(
-            Doubt(
-                "overlap",
-                f"the surveys have {ground.area_m2:.3g} m² in common, "
-                f"{100.0 * ground.overlap:.0f} % of the smaller one: what changed elsewhere is not "
-                "in the volume; name the place by --polygon if that is meant",
-                ground.overlap,
-            )
-        )
-    return Verdict(tuple(doubts))
+    return doubts + overlap_doubts(ground)
+
+
+def overlap_doubts(ground: StableGround) -> list[Doubt]:
+    """How much both surveys cover."""
+    if ground.overlap >= SMALL_OVERLAP:
+        return []
+    words = (
+        f"the surveys have {ground.area_m2:.3g} m² in common, {100.0 * ground.overlap:.0f} % of "
+        "the smaller one: what changed elsewhere is not in the volume; name the place by --polygon "
+        "if that is meant"
+    )
+    return [Doubt("overlap", words, ground.overlap)]
 
 
 def registration_doubt(ground: StableGround) -> Doubt:

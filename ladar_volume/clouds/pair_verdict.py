@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,16 +18,20 @@ from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Cells in which differences are averaged, about so many; fewest; least part of a cell that counts.
 CELLS, FEWEST, FULL = 400, 40, 0.3
+#: Fewest cells of ground that is named, and fewest triangles in each.
+FEWEST_NAMED, IN_CELL = 8, 8
 #: Share of the cells in the shortest interval, which is where nothing changed, and that interval's
 #: length in standard deviations of normal differences.
 MODE, LENGTH = 0.25, 0.6373
@@ -46,7 +51,8 @@ FACE_M = 0.3
 @dataclass(frozen=True)
 class UnchangedPart:
     """Where two surfaces are alike. offset_m ± sigma_m : upper minus lower there · scatter_m : of
-    the cells' means · share, changed : of the common footprint that is alike, and that is not
+    the cells' means · share, changed : of the common footprint that is alike, and that is not ·
+    named : whether the place was named
     """
 
     offset_m: float
@@ -54,27 +60,47 @@ class UnchangedPart:
     scatter_m: float
     share: float
     changed: float
+    named: bool = False
+
+    @property
+    def is_distinguishable(self) -> bool:
+        """Whether enough did not change, and enough did, to tell the two apart."""
+        return self.named or (self.share >= SAME and self.changed >= OTHER)
 
 
-def cell_means(tin: Tin) -> tuple[F64, F64]:
-    """Mean heights (k,) m of a surface by square cells, and their areas (k,) m²."""
+class CellMeans(NamedTuple):
+    """A surface by square cells of a side, m, from low (2,) on. mean, area : (k,) m and m², of
+    cells that are full enough · cell : (k, 2) their numbers
+    """
+
+    mean: F64
+    area: F64
+    cell: I64
+    low: F64
+    side: float
+
+
+def cell_means(tin: Tin, cells: int = CELLS) -> CellMeans:
+    """Mean heights of a surface by cells, about so many."""
     area = footprint_areas(tin.vertices, tin.triangles)
     corners = tin.vertices[tin.triangles]
     middle, height = corners[:, :, :2].mean(axis=1), corners[:, :, 2].mean(axis=1)
-    side = math.sqrt(float(area.sum()) / CELLS)
-    cell = np.floor((middle - middle.min(axis=0)) / side).astype(np.int64)
-    at = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    side = math.sqrt(float(area.sum()) / cells)
+    low = middle.min(axis=0)
+    cell = np.floor((middle - low) / side).astype(np.int64)
+    numbers, at = np.unique(cell, axis=0, return_inverse=True)
+    at = at.reshape(-1)
     own: F64 = np.bincount(at, area).astype(np.float64)
     mean = np.bincount(at, area * height) / np.maximum(own, 1e-300)
     full = own > FULL * side * side
-    return mean[full], own[full]
+    return CellMeans(mean[full], own[full], numbers[full], low, side)
 
 
 def unchanged_part(tin: Tin) -> UnchangedPart | None:
     """The part of a difference surface that did not change: about the shortest interval that holds
     a quarter of its cells. None for too few of them.
     """
-    mean, area = cell_means(tin)
+    mean, area = cell_means(tin)[:2]
     if len(mean) < FEWEST:
         return None
     order = np.sort(mean)
@@ -102,9 +128,8 @@ def unchanged_part(tin: Tin) -> UnchangedPart | None:
 def with_offset(volume: CloudVolume, found: UnchangedPart) -> tuple[CloudVolume, list[Doubt]]:
     """The volume with the offset of two clouds where nothing changed in sigma."""
     effect = found.offset_m * volume.area_m2
-    is_partly_changed = found.share >= SAME and found.changed >= OTHER
     beyond = abs(found.offset_m) > CHANCE * found.sigma_m
-    if not (is_partly_changed and beyond and abs(effect) > MATTERS * volume.sigma_m3):
+    if not (found.is_distinguishable and beyond and abs(effect) > MATTERS * volume.sigma_m3):
         return volume, []
     words = (
         f"over {100 * found.share:.0f} % of the common footprint the two clouds are alike but for "
@@ -132,10 +157,24 @@ class PairGround:
         """Height of the difference where nothing changed."""
         return design_surface([self.unchanged.offset_m])
 
-    @property
-    def is_distinguishable(self) -> bool:
-        """Whether enough did not change, and enough did, to tell the two apart."""
-        return self.unchanged.share >= SAME and self.unchanged.changed >= OTHER
+
+def named_part(ground: PairGround, corners: F64) -> UnchangedPart:
+    """The part of a difference within corners (c, 2) m, which is known not to have changed. Raises
+    :class:`VolumeError` (epochs_stable) where both saw too little of it.
+    """
+    tin = ground.tin
+    own = footprint_areas(tin.vertices, tin.triangles)
+    inside = areas_inside(tin, check_polygon(corners)) >= 0.5 * own
+    cells = min(CELLS, int(np.count_nonzero(inside)) // IN_CELL)
+    if cells < FEWEST_NAMED:
+        words = "both clouds cover too little of the stable ground: name a larger place"
+        raise VolumeError(words, reason="epochs_stable", value=cells)
+    mean, area = cell_means(dataclasses.replace(tin, triangles=tin.triangles[inside]), cells)[:2]
+    middle = float(np.average(mean, weights=area))
+    scatter = max(float(np.std(mean, ddof=1)), 1e-9)
+    sigma = scatter / math.sqrt(max(len(mean) / ALIKE, 1.0))
+    share = float(own[inside].sum() / own.sum())
+    return UnchangedPart(middle, sigma, scatter, share, ground.unchanged.changed, True)
 
 
 def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
@@ -161,7 +200,11 @@ def edge_doubts(
     difference, ends: at the edge of what both saw, or at an ``outline``.
     """
     cut = cut_at_boundary(ground.tin, ground.level, inside, ground.least_m)
-    if cut is None or not ground.is_distinguishable or cut.hidden_m3 < HIDDEN * volume.sigma_m3:
+    if (
+        cut is None
+        or not ground.unchanged.is_distinguishable
+        or cut.hidden_m3 < HIDDEN * volume.sigma_m3
+    ):
         return []
     what, todo = (
         ("the outline lies", "draw it around what changed")

@@ -180,6 +180,18 @@ def _settings(
     return given, datum, sums
 
 
+def holds_survey(path: Path) -> bool:
+    """Whether a folder, or an MCAP file, holds a survey that was replayed or saved."""
+    file = path / FILE if path.is_dir() else path
+    if file.suffix.lower() != ".mcap" or not file.is_file():
+        return False
+    try:
+        with file.open("rb") as stream:
+            return any(r.name == RECORD for r in make_reader(stream).iter_metadata())
+    except Exception:  # a damaged file fails anywhere inside the parser; its reader says how
+        return True
+
+
 def read_survey(path: str | Path) -> SavedSurvey:
     """A survey from result.mcap, or from its folder.
 

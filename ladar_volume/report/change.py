@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,14 +15,23 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from ladar_volume.change.change_detection import ChangeMap
-from ladar_volume.model.records import F64, Volume
+from ladar_volume.model.records import F64
 from ladar_volume.report.plates import save_figure
 
 #: Colour of what does not exceed the level of detection, and lines of the budget that are shown.
 GREY, LINES = "0.85", 9
 
 
-def draw(volume: Volume, change: ChangeMap, title: str) -> Figure:
+class ChangeTotals(NamedTuple):
+    """The change as a whole: volume_m3 ± sigma_m3 over area_m2, and its budget, m⁶ by source."""
+
+    volume_m3: float
+    sigma_m3: float
+    area_m2: float
+    budget_m6: dict[str, float]
+
+
+def draw(volume: ChangeTotals, change: ChangeMap, title: str) -> Figure:
     """A figure with three panels; no window, no global state."""
     figure = Figure(figsize=(16, 5.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -69,7 +79,7 @@ def _level(ax: Axes, change: ChangeMap) -> None:
     _map(ax, change, change.level_m[t].mean(axis=1), colours)
 
 
-def _budget(ax: Axes, volume: Volume) -> None:
+def _budget(ax: Axes, volume: ChangeTotals) -> None:
     """Panel of the largest lines of the budget."""
     lines = sorted(volume.budget_m6.items(), key=lambda item: item[1])[-LINES:]
     ax.barh(
@@ -102,6 +112,6 @@ def _map(ax: Axes, change: ChangeMap, values: F64, colours: Colours) -> None:
     ax.figure.colorbar(faces, ax=ax, label=colours.label, shrink=0.85)
 
 
-def save(volume: Volume, change: ChangeMap, title: str, path: Path) -> None:
+def save(volume: ChangeTotals, change: ChangeMap, title: str, path: Path) -> None:
     """Write the figure as PNG. Raises OutputError."""
     save_figure(draw(volume, change, title), path)

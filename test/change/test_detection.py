@@ -12,7 +12,7 @@ from volume_surfaces import platform, surface_update
 
 from ladar_volume.change.change_detection import change_map, threshold_volumes, weighted_sigma
 from ladar_volume.change.epoch_change import epoch_difference
-from ladar_volume.cli.epochs import survey_of
+from ladar_volume.cli.epochs.surveys import survey_of
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import read_mesh
 from ladar_volume.io.pointfiles.ply import ply_table
@@ -44,7 +44,11 @@ def mapped(new, old, separate=()):
         d,
         apart,
         change,
-        threshold_volumes(new, old, apart, change, d.volume.coverage_factor, separate),
+        threshold_volumes(
+            change,
+            d.volume.coverage_factor,
+            lambda weight: weighted_sigma(new, old, apart, weight, separate),
+        ),
     )
 
 
@@ -248,7 +252,11 @@ def test_other_datums_are_the_same_place(tmp_path, capsys):
     assert abs(json.loads(capsys.readouterr().out)["volume_m3"]) < 1e-3
     (tmp_path / "none.mcap").write_bytes(b"nothing")
     (tmp_path / "empty").mkdir()
-    for other, text in (("c", "datum"), ("none.mcap", "not a result"), ("empty", "no such file")):
+    for other, text in (
+        ("c", "datum"),
+        ("none.mcap", "not a result"),
+        ("empty", "without metadata.yaml"),
+    ):
         assert (
             main(
                 ["epochs", str(tmp_path / "a"), str(tmp_path / other), "-o", str(tmp_path / "out")]

@@ -7,9 +7,15 @@ import re
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import number
+from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
+from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.model.choices import CALIBRATION_GROUPS
+from ladar_volume.model.choices import CALIBRATION_GROUPS, CLEAN
+
+#: Options of a surface that the verb has itself.
+PUBLIC = ("crs", "units", "classes", "sigma", "clean")
 
 
 def add_parser(subparsers: Verbs) -> None:
@@ -17,15 +23,17 @@ def add_parser(subparsers: Verbs) -> None:
     parser = subparsers.add_parser(
         "epochs",
         help="change between two surveys, with level of detection",
-        description="NEW minus PREVIOUS over the common footprint. Both are folders that "
-        "'replay' or "
-        "volume_node's ~/save wrote. The "
-        "calibration counts as common to both, but for the clock offset.",
+        description="NEW minus PREVIOUS over the common footprint. Both are results (folders that "
+        "'replay' or volume_node's ~/save wrote), recordings, which are replayed first, or point "
+        "clouds and meshes. The calibration of surveys counts as common to both, but for the clock "
+        "offset; point clouds tell the noise of their points alone.",
     )
     parser._negative_number_matcher = re.compile(
         r"^-(\d|\.\d)[\d.,eE+-]*$"
     )  # argparse takes -1,2 for an option
     _add_surveys(parser)
+    _add_places(parser)
+    _add_clouds(parser)
     parser.add_argument(
         "-o",
         "--output",
@@ -36,15 +44,17 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument("--json", action="store_true", help="print epochs.json to standard output")
     parser.add_argument("--no-figure", action="store_true", help="skip the picture")
     add_strict_option(parser)
-    parser.set_defaults(run=work("ladar_volume.cli.epochs"))
+    parser.set_defaults(run=work("ladar_volume.cli.epochs.verb"))
 
 
 def _add_surveys(parser: argparse.ArgumentParser) -> None:
-    """The two surveys, what they share, and where they are compared."""
+    """The two surveys, what they share, and how one is laid on the other."""
     parser.add_argument(
-        "previous", type=Path, help="results of the earlier survey: a folder, or its result.mcap"
+        "previous",
+        type=Path,
+        help="the earlier survey: results (a folder, or its result.mcap), a recording, or a cloud",
     )
-    parser.add_argument("new", type=Path, help="results of the later survey")
+    parser.add_argument("new", type=Path, help="the later survey, of the same kind")
     parser.add_argument(
         "--separate",
         action="append",
@@ -65,6 +75,10 @@ def _add_surveys(parser: argparse.ArgumentParser) -> None:
             "its covariance"
         ),
     )
+
+
+def _add_places(parser: argparse.ArgumentParser) -> None:
+    """Where the surveys are compared, and where nothing changed."""
     parser.add_argument(
         "--polygon",
         nargs="+",
@@ -77,4 +91,42 @@ def _add_surveys(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y",
         help="ground within these corners (or a file of them) did not change: the surveys must "
         "agree there (default: the ground that does not differ by more than its noise)",
+    )
+
+
+def _add_clouds(parser: argparse.ArgumentParser) -> None:
+    """What point clouds need besides. What else a surface is made with stays as it is."""
+    add_reading_options(parser)
+    g = parser.add_argument_group("point clouds")
+    g.add_argument(
+        "--register",
+        choices=("icp", "height"),
+        help="lay the new cloud on the earlier one by what did not change: turned and shifted "
+        "(point to plane), or lifted alone, which is all that level ground can tell",
+    )
+    g.add_argument(
+        "--reach",
+        type=number,
+        metavar="M",
+        help="how far --register icp looks for partners (default 20 spacings)",
+    )
+    g.add_argument(
+        "--sigma",
+        type=number,
+        metavar="M",
+        help="standard deviation of the heights of the new cloud; else a column, else estimated",
+    )
+    g.add_argument("--sigma-b", type=number, metavar="M", help="of the earlier one, if another")
+    g.add_argument(
+        "--clean",
+        choices=CLEAN,
+        default="auto",
+        help="auto: leave stray points out; filter: smooth as 'filter' does; off: every point",
+    )
+    usual = argparse.ArgumentParser()
+    add_surface_options(usual, "every point")
+    parser.set_defaults(
+        **{n: v for n, v in vars(usual.parse_args([])).items() if n not in PUBLIC},
+        no_faces=False,
+        surface=None,
     )

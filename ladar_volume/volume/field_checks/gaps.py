@@ -38,8 +38,9 @@ ACROSS = 0.5
 #: these per area squared.
 MOST = 6
 #: Standard deviation of what was not seen above which there is doubt, over that of all else and
-#: over the volume; share of the area that was not seen above which there is.
-UNSEEN, UNSEEN_OF_VOLUME, UNSEEN_AREA = 1.0, 0.005, 0.1
+#: over the volume, where it is no less than so much of all else; share of the area that was not
+#: seen above which there is.
+UNSEEN, UNSEEN_OF_VOLUME, UNSEEN_PART, UNSEEN_AREA = 1.0, 0.005, 0.3, 0.1
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,9 @@ def gap_doubts(
 ) -> list[Doubt]:
     """Too much was not seen: gap_m2 of area_m2. sigma_m3 : of the volume without it."""
     sigma, share = math.sqrt(found.variance_m6), gap_m2 / max(area_m2, 1e-300)
-    large = sigma > UNSEEN * sigma_m3 or sigma > UNSEEN_OF_VOLUME * abs(volume_m3)
+    # a volume next to nothing, as between two surveys of unchanged ground, is no measure
+    least = max(UNSEEN_OF_VOLUME * abs(volume_m3), UNSEEN_PART * sigma_m3)
+    large = sigma > min(UNSEEN * sigma_m3, least)
     if not (large or share > UNSEEN_AREA or found.unknown_m2 > 0.0):
         return []
     gap = found.gaps[0]
