@@ -59,10 +59,11 @@ class _Kept(NamedTuple):
         """
         axis, centre = self.normal[own[0]], self.r[own].mean(axis=0)
         size = float(np.ptp(self.r[own], axis=0).max()) or 1.0
-        x, at = (_columns((self.r[k] - centre) / size, axis, True) for k in (own, rows))
-        height = (self.r - centre) @ axis
-        beta = np.linalg.lstsq(x, height[own], rcond=1e-9)[0]
-        return np.asarray(np.abs(height[rows] - at @ beta) / self.noise_m[rows], np.float64)
+        local = self.r[own] - centre, self.r[rows] - centre
+        x, at = (_columns(away / size, axis, True) for away in local)
+        beta = np.linalg.lstsq(x, local[0] @ axis, rcond=1e-9)[0]
+        off = local[1] @ axis - at @ beta
+        return np.asarray(np.abs(off) / self.noise_m[rows], np.float64)
 
 
 def influence(r: F64, result: CloudResult, weight: F64) -> F64:
@@ -141,8 +142,11 @@ def _sheets(kept: _Kept, cell: I64, near: I64, curved: bool) -> tuple[list[I64],
 
 def _columns(local: F64, axis: F64, curved: bool) -> F64:
     """Design rows (k, 3), or (k, 6) if curved, of places (k, 3) over the plane across an axis."""
-    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    x, y, z = axis.tolist()
+    k = int(np.argmin(np.abs(axis)))
+    side = np.array([(0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)][k])
     side /= np.linalg.norm(side)
-    u, v = local @ side, local @ np.cross(axis, side)
+    a, b, c = side.tolist()
+    u, v = local @ side, local @ np.array([y * c - z * b, z * a - x * c, x * b - y * a])
     columns = [np.ones(len(local)), u, v, *((u * u, u * v, v * v) if curved else ())]
     return np.stack(columns, axis=1)
