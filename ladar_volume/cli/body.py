@@ -50,6 +50,7 @@ from ladar_volume.clouds.cloud_bodies import CLEAR, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
+from ladar_volume.clouds.ground_readings import with_base_surface
 from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.ground.objects import (
     Objects,
@@ -221,7 +222,8 @@ def bodies_of_cloud(a: argparse.Namespace, console: Console) -> tuple[dict[str, 
         status.update("propagating the noise")
         made, checked = check_bodies(made, points, raw, options)
         growth_m = growth_about_bodies(raw, made, points)
-        uncertain = uncertainty(made, checked, points, raw, growth_m)
+        known = uncertainty(made, checked, points, raw, growth_m)
+        uncertain = known and with_base_surface(known, made, points, raw)
     facts = cloud_facts(a.source.name, len(raw), points, made, found, uncertain)
     facts["reading"] = cloud_facts_of(source.cloud)
     facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
@@ -229,8 +231,7 @@ def bodies_of_cloud(a: argparse.Namespace, console: Console) -> tuple[dict[str, 
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
     grown = doubts_about_growth(made, growth_m)
     verdict += Verdict(wall_doubts(made, points) + closing_doubts(made) + grown)
-    for body in made.bodies:
-        verdict += Verdict(body.doubts)
+    verdict += Verdict(tuple(d for body in made.bodies for d in body.doubts))
     verdict += Verdict((NO_SIGMA,) if uncertain is None else ())
     facts["verdict"] = verdict.as_dict()
     return facts, list(made.bodies)

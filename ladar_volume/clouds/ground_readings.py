@@ -1,17 +1,26 @@
-"""Other readings of the ground around a body, to be compared with the one its volume stands on."""
+"""Other readings of the ground around a body, to be compared with the one its volume stands on; and
+how the ground deviates from its plane under closed bodies, where it is not seen.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from ladar_volume.clouds.body_points import BodyPoints
+from ladar_volume.clouds.body_volume import Body, Uncertain
+from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.ground.ground_adjoint import ground_residuals
 from ladar_volume.ground.polynomial import height_above
+from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Plane
-from ladar_volume.uncertainty.ground_field import mean_spacing
+from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
+from ladar_volume.uncertainty.roughness import estimate_roughness
 from ladar_volume.volume.field_checks.base_readings import BaseReadings, base_readings
 from ladar_volume.volume.outline import surroundings
 
@@ -84,3 +93,71 @@ def unevenness(points: F64, base: Plane, variance: F64, length_m: float, reach_m
         return math.nan
     weight = count[full] / count[full].sum()
     return math.sqrt(max(float(weight @ (mean[full] ** 2 - noise[full])), 0.0))
+
+
+def ground_roughness(points: BodyPoints, ground: Plane, raw: F64 | None = None) -> Roughness:
+    """How the ground deviates from the plane through points of it.
+
+    raw : (n, 3) m, the cloud before the filter, whose noise is independent from point to point;
+    None to tell it from the filtered points, where each is of very many. What passes disagree about
+    counts as well.
+    """
+    f, rows = points.filtered, ground.support
+    r = points.r[rows]
+    sigma = np.zeros(len(rows)) if points.sigma is None else points.sigma[rows]
+    if raw is not None and f is not None and f.noise is not None:
+        r, sigma = raw[f.index[rows]], f.noise[rows]
+    height = height_above(r, ground)
+    return estimate_roughness(r[:, :2], height, sigma**2, len(ground.beta))
+
+
+def field_under(body: Body, points: F64, ground: Plane, rough: Roughness) -> GroundField:
+    """How the deviation of the ground from its plane, through some of points (n, 3) m, enters the
+    volume of a closed body: under it, where it is not seen, and through the fit.
+    """
+    p = body.skin.vertices
+    by_beta = body.by_ground[: len(ground.beta)]
+    xy, _, fit = ground_residuals(points, ground, by_beta)
+    bottom = body.closed.mesh.triangles[body.skin.face == GROUND]
+    a, b, c = (p[corner] for corner in bottom.T)
+    down = np.cross(b - a, c - a)[:, 2] / 2.0
+    return GroundField(p, bottom, -down, xy, fit, rough)
+
+
+def with_base_surface(
+    known: Uncertain, made: CloudBodies, points: BodyPoints, raw: F64 | None = None
+) -> Uncertain:
+    """The uncertainty of bodies with the line ``base_surface``: the ground under them is not the
+    plane through that around them. What moves the plane is common to all. raw : as
+    :func:`ground_roughness` takes it. A ground that is given has no such line.
+    """
+    ground = made.ground
+    if ground is None or not len(ground.support):
+        return known
+    rough = ground_roughness(points, ground, raw)
+    own = [field_under(body, points.r, ground, rough).variance_m6 for body in made.bodies]
+    J = np.stack([body.by_ground[: len(ground.beta)] for body in made.bodies])
+    common = J @ plane_covariance(points.r, ground, rough) @ J.T
+    lines = np.maximum(own, np.diagonal(common))
+    C = known.C_m6 + common + np.diag(lines - np.diagonal(common))
+    pairs = zip(known.budget_m6, lines.tolist(), strict=True)
+    return Uncertain(C, tuple({**of, "base_surface": line} for of, line in pairs))
+
+
+def plane_covariance(points: F64, ground: Plane, rough: Roughness) -> F64:
+    """Covariance (p, p) of the coefficients of a ground through some of points (n, 3) m from its
+    deviation: by the variances of their sums and differences.
+    """
+    p = len(ground.beta)
+    none = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0)
+    xy, _, weight = zip(*(ground_residuals(points, ground, e) for e in np.eye(p)), strict=True)
+
+    def variance(w: F64) -> float:
+        return GroundField(*none, xy[0], w, rough).variance_m6
+
+    C = np.diag([variance(w) for w in weight])
+    for i, j in combinations(range(p), 2):
+        C[i, j] = C[j, i] = 0.25 * (
+            variance(weight[i] + weight[j]) - variance(weight[i] - weight[j])
+        )
+    return C

@@ -38,6 +38,8 @@ from ladar_volume.model.records import F64, I64, Bool, Plane
 
 #: Longest rim filled with the least area; its search takes the cube of this.
 LONGEST = 200
+#: A small rim that looks down by less than this may be a hole with ragged triangles.
+RAGGED = 0.5
 
 
 def close(
@@ -51,12 +53,13 @@ def close(
     is not a plane).
     """
     up = np.array([0.0, 0.0, 1.0]) if ground is None else plane_normal(ground)
-    skin, bottoms, gaps = sorted_rims(split_fans(skin), ground, up)
+    skin, bottoms, gaps = sorted_rims(split_fans(skin), ground, up, close_m)
     if ground is not None:
         for rim in bottoms:
             check_height(skin, rim, ground, close_m)
         if any(height_above(skin.vertices[r.vertices], ground).min() < 0.0 for r in bottoms):
-            skin, bottoms, gaps = sorted_rims(split_fans(clip_to_ground(skin, ground)), ground, up)
+            skin = split_fans(clip_to_ground(skin, ground))
+            skin, bottoms, gaps = sorted_rims(skin, ground, up, close_m)
     hint = "" if ground is not None else ", or give the ground it stands on"
     made: list[Closure] = []
     for rim in gaps:
@@ -69,13 +72,18 @@ def close(
 
 
 def sorted_rims(
-    skin: LinearMesh, ground: Plane | None, up: F64
+    skin: LinearMesh, ground: Plane | None, up: F64, close_m: float
 ) -> tuple[LinearMesh, list[Rim], list[Rim]]:
-    """The skin, its rims that look down to the ground, and its gaps."""
+    """The skin, its rims that look down to the ground, and its gaps: among these holes up to
+    ``close_m`` wide, beside a wider bottom, whose ragged triangles happen to lean down.
+    """
     rims = rims_of(skin)
-    down = (
-        mean_descent(skin, rims, up) > LEAVES if ground is not None else np.zeros(len(rims), bool)
-    )
+    if ground is None or not rims:
+        return skin, [], rims
+    descent, size = mean_descent(skin, rims, up), np.array([r.size_m for r in rims])
+    down = descent > LEAVES
+    widest = float(size[down].max(initial=0.0))
+    down &= (descent > RAGGED) | (size > close_m) | (size == widest)
     return (
         skin,
         [r for r, d in zip(rims, down, strict=True) if d],

@@ -2,15 +2,20 @@
 computation and repeated clouds.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere, torus
 
+from benchmarks.truth import box_faces, sample_polygons
+from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.body_volume import body_of, cloud_uncertainty, mesh_uncertainty
 from ladar_volume.clouds.cloud_bodies import cloud_bodies, remove_stray_parts
 from ladar_volume.clouds.filter.filter_adjoint import influence
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.clouds.ground_readings import plane_covariance, with_base_surface
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.local_mesh import LocalMesh
@@ -20,8 +25,11 @@ from ladar_volume.model.body_parameters import BodyParameters
 from ladar_volume.model.errors import FilterError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import Plane
+from ladar_volume.simulation.scenes import Ground
+from ladar_volume.uncertainty.ground_field import Roughness
 
 RADIUS = 0.3
+PLANE = GroundParameters(degree=1)
 
 
 def ball_on_ground(rng, count=2500, noise=0.01):
@@ -295,3 +303,49 @@ def test_what_is_no_body_is_refused():
         body_of(crossed, np.concatenate([CUBE_T, CUBE_T + 8]), allow_crossings=True).crossing_pairs
         > 0
     )
+
+
+def box_on_rough_ground(seed, rough_m=0.006):
+    """Points of an exact box of 1.6 x 1.2 x 0.8 m and of the ground around it, their normals, the
+    label of the box, and its volume above the true ground.
+    """
+    rng, size = np.random.default_rng([seed, 31]), np.array([1.6, 1.2, 0.8])
+    ground = Ground(rough_m=rough_m, length_m=0.7, seed=seed)
+    x, y = size[:2] / 2
+    faces = box_faces(np.array([-x, -y, 0.05]), np.array([x, y, size[2]]))
+    at, n = sample_polygons(faces[1:], 1500, rng)
+    q = rng.uniform(-3.0, 3.0, (4000, 2))
+    q = q[(np.abs(q) > (x + 0.05, y + 0.05)).any(axis=1)]
+    r = np.concatenate([at, np.c_[q, ground(*q.T)]])
+    normal = np.concatenate([n, np.tile([0.0, 0.0, 1.0], (len(q), 1))])
+    label = np.where(np.arange(len(r)) < len(at), 0, -1)
+    truth = 4 * x * y * (size[2] - ground.mean_over_box(-x, x, -y, y))
+    return BodyPoints(r, normal, None, np.full(len(r), 1e-4)), label, truth
+
+
+def test_rough_ground_under_a_body_is_in_sigma():
+    z, share = [], []
+    for seed in range(12):
+        points, label, truth = box_on_rough_ground(seed)
+        ground = fit_ground(points.r[label < 0], np.zeros(int((label < 0).sum())), PLANE)
+        ground = dataclasses.replace(ground, support=ground.support + int((label == 0).sum()))
+        made = cloud_bodies(points.r, points.normal, None, label, ground)
+        known = with_base_surface(mesh_uncertainty(made.bodies, 1e-4), made, points)
+        z.append((made.bodies[0].volume_m3 - truth) / known.sigma_m3[0])
+        share.append(known.budget_m6[0]["base_surface"] / known.C_m6[0, 0])
+        assert sum(known.budget_m6[0].values()) == pytest.approx(known.C_m6[0, 0])
+    assert min(share) > 0.9  # nothing else moves these
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_a_level_that_the_ground_moves_alike_is_common_to_all_bodies():
+    """The plane through rough ground moves all bodies; its covariance by the full matrix."""
+    rng, rough = np.random.default_rng(5), Roughness(0.01**2, 0.6, 0.3, 1.0)
+    xy = rng.uniform(-3.0, 3.0, (500, 2))
+    plane = Plane(np.zeros(2), np.zeros(3), np.zeros((3, 3)), np.arange(500), 0.0)
+    C = plane_covariance(np.c_[xy, np.zeros(500)], plane, rough)
+    X = np.c_[np.ones(500), xy]
+    full = rough.variance_m2 * rough.correlation(np.linalg.norm(xy[:, None] - xy, axis=2))
+    H = np.linalg.pinv(X)
+    scale = np.sqrt(np.diagonal(H @ full @ H.T))
+    assert np.abs((C - H @ full @ H.T) / np.outer(scale, scale)).max() < 0.05

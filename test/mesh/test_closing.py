@@ -19,6 +19,7 @@ from ladar_volume.mesh.edge_completion import plane_intersection, sharpen
 from ladar_volume.mesh.ground_clipping import clip_to_ground
 from ladar_volume.mesh.linear_mesh import EDGE, GAP, GROUND, MEASURED, linear_mesh
 from ladar_volume.mesh.local_mesh import mesh_cloud
+from ladar_volume.mesh.rims import mean_descent, rims_of
 from ladar_volume.mesh.tetrahedra import closed_volume, signed_tetrahedra, tetrahedra_gradient
 from ladar_volume.mesh.topology import check_closed, edge_table, orient
 from ladar_volume.mesh.welding import corner_fans
@@ -209,6 +210,21 @@ def test_what_cannot_be_closed_is_refused(ground, close_m, reason, words):
     with pytest.raises(SurfaceError, match=words) as error:
         close(linear_mesh(CUBE_V, CUBE_T[2:]), close_m, ground)
     assert error.value.reason == reason
+
+
+def test_a_ragged_hole_in_a_wall_is_a_gap():
+    v, t = shell(0.0, 1.0, 0.25)
+    top = np.array([[128 + i, 128 + (i + 1) % 32, len(v)] for i in range(32)])
+    v = np.concatenate([v, [[0.0, 0.0, 1.0]]])
+    hole = np.array([66, 67, 98, 99])  # a square of a wall
+    t = t[~np.isin(t, hole).all(axis=1)]
+    v[34, 1] -= 0.8  # the triangle below it folds outward
+    skin = linear_mesh(v, np.concatenate([t, top]))
+    down = np.sort(mean_descent(skin, rims_of(skin), np.array([0.0, 0.0, 1.0])))
+    assert 0.15 < down[0] < 0.5 < down[1]
+    body, made = close(skin, 0.6, design_surface([-0.1]))
+    assert sorted(c.name for c in made) == ["gap", "ground"]
+    assert volume(body).volume_m3 == pytest.approx(4.4, rel=0.05)
 
 
 def test_a_pit_is_refused():

@@ -2,10 +2,10 @@
 cloud files, which keeps edges and corners; ground, objects, mesh, edges and closing are those of
 ``cloud_bodies``.
 
-The budget is the survey's own. Noise, ground, closing, fit and what lies between the points come
-from the returns as in a file. Calibration and navigation come from the sensitivities of the
-survey's patches (``survey_gradient``): the whole gradient of a closed body, walls and ground with
-it.
+The budget is the survey's own. Noise, ground, closing, fit, what lies between the points and how
+the ground deviates from its plane come from the returns as in a file. Calibration and navigation
+come from the sensitivities of the survey's patches (``survey_gradient``): the whole gradient of a
+closed body, walls and ground with it.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_dou
 from ladar_volume.clouds.cloud_bodies import CLEAR, NO_BODY, CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
+from ladar_volume.clouds.ground_readings import with_base_surface
 from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
 from ladar_volume.clouds.survey.survey_gradient import OnSurvey, on_survey
 from ladar_volume.ground.ground_adjoint import ground_gradient
@@ -190,6 +191,7 @@ def mesh_returns(raw: F64, parameters: Parameters) -> MeshedReturns:
     known = uncertainty(made, checked, points, raw, growth_m)
     if known is None:
         raise VolumeError("the returns show no noise", reason="survey_noise")
+    known = with_base_surface(known, made, points)
     verdict = bodies_verdict(made, points.r, None)
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
     grown = doubts_about_growth(made, growth_m)

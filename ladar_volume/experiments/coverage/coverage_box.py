@@ -15,11 +15,11 @@ import numpy as np
 
 from ladar_volume.clouds.body_volume import Body, closing_m6
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
+from ladar_volume.clouds.ground_readings import field_under
 from ladar_volume.experiments.coverage.coverage_scene import SLOPE, RoughGround
 from ladar_volume.ground.ground_adjoint import ground_gradient, ground_residuals
 from ladar_volume.ground.objects import find_objects
 from ladar_volume.ground.robust_ground import fit_ground
-from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.model.body_parameters import BodyParameters, LocalMeshParameters, ObjectParameters
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import GroundParameters, Parameters
@@ -189,11 +189,7 @@ def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
     through the fit.
     """
     points = sources.points
-    p = body.skin.vertices
-    xy, residual, fit = ground_residuals(points.r_map, ground, body.by_ground)
-    bottom = body.closed.mesh.triangles[body.skin.face == GROUND]
-    a, b, c = (p[corner] for corner in bottom.T)
-    down = np.cross(b - a, c - a)[:, 2] / 2.0
+    xy, residual, _ = ground_residuals(points.r_map, ground, body.by_ground)
     rough = estimate_roughness(
         xy,
         residual,
@@ -201,7 +197,7 @@ def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
         len(ground.beta),
         shared_covariance_of(sources, ground.support),
     )
-    return GroundField(p, bottom, -down, xy, fit, rough)
+    return field_under(body, points.r_map, ground, rough)
 
 
 def closed_box(
