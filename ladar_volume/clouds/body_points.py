@@ -35,6 +35,9 @@ RAISED = 5.0
 ROUGH = 0.2
 #: Least step between points of one object, in the spacing where the points are sparsest.
 SPARSE, SPARSEST = 2.0, 90.0
+#: A cluster of less than this share of the points above the ground is no body by itself: of a wall
+#: that was seen aslant, a few returns may stand alone.
+MATTERS = 0.01
 #: Bodies are halved in so many ways, those of few points in more: what the halves tell is uncertain
 #: by itself, and one split can by chance show next to nothing.
 SPLITS, MORE, FEW, SEED = 2, 3, 10_000, 7
@@ -121,7 +124,7 @@ def excluded_points(
     raw: F64, good: Bool, result: CloudResult, ground: Plane | None
 ) -> ExcludedPoints:
     """What the filter left out of the good points (n,) of a cloud (n, 3) m: of what stands above
-    the ground, in all or in one cluster; of all points where there is no ground.
+    the ground, in all or in one cluster that matters; of all points where there is no ground.
     """
     kept = np.zeros(len(raw), np.bool_)
     kept[result.index] = True
@@ -134,8 +137,9 @@ def excluded_points(
     if not step_m:
         return most
     label = clusters(raw, step_m, p.min_points, above)
+    size = np.bincount(label[label >= 0])
     of_each = [
-        _excluded_among(raw, label == k, kept) for k in range(int(label.max(initial=-1)) + 1)
+        _excluded_among(raw, label == k, kept) for k in np.flatnonzero(size > MATTERS * most.above)
     ]
     return max([most, *of_each], key=lambda found: found.share)
 

@@ -38,7 +38,7 @@ from ladar_volume.model.records import F64, I64, Bool, Plane
 
 #: Longest rim filled with the least area; its search takes the cube of this.
 LONGEST = 200
-#: A small rim that looks down by less than this may be a hole with ragged triangles.
+#: A rim that looks down by less than this may be a hole with ragged triangles.
 RAGGED = 0.5
 
 
@@ -74,16 +74,18 @@ def close(
 def sorted_rims(
     skin: LinearMesh, ground: Plane | None, up: F64, close_m: float
 ) -> tuple[LinearMesh, list[Rim], list[Rim]]:
-    """The skin, its rims that look down to the ground, and its gaps: among these holes up to
-    ``close_m`` wide, beside a wider bottom, whose ragged triangles happen to lean down.
+    """The skin, its rims that look down to the ground, and its gaps: among these holes beside a
+    wider bottom, up to ``close_m`` wide or higher than that above the ground, whose ragged
+    triangles happen to lean down.
     """
     rims = rims_of(skin)
     if ground is None or not rims:
         return skin, [], rims
     descent, size = mean_descent(skin, rims, up), np.array([r.size_m for r in rims])
     down = descent > LEAVES
-    widest = float(size[down].max(initial=0.0))
-    down &= (descent > RAGGED) | (size > close_m) | (size == widest)
+    low = np.array([height_above(skin.vertices[r.vertices], ground).min() for r in rims])
+    hole = (size <= close_m) | (low > close_m)
+    down &= (descent > RAGGED) | ~hole | (size == size[down].max(initial=0.0))
     return (
         skin,
         [r for r, d in zip(rims, down, strict=True) if d],
