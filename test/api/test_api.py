@@ -117,10 +117,11 @@ def test_file_verbs_run_without_ros_and_without_locks_of_unix(cone, tmp_path):
         "assert main(['filter', cloud, '-o', laz, '--radius', '0.8']) == 0\n"
         "assert main(['volume', laz, '--base', 'ground']) == 0\n"
         "assert main(['volume', laz, cloud]) == 0\n"
+        "assert main(['epochs', laz, cloud, '--no-figure', '-o', mesh + '.change']) == 0\n"
         "assert main(['tin', laz, '-o', mesh]) == 0\n"
         "assert main(['volume', mesh, '--level', '0.5', '-o', mesh + '.files']) == 0\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=120)
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=300)
 
 
 def test_an_import_loads_nothing():

@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from ladar_volume.cli.epochs.surveys import plan_of, write_change, write_picture
+from ladar_volume.cli.epochs.outputs import plan_of, write_change, write_picture
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (

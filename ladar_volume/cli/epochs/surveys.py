@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from ladar_volume.change.change_detection import (
@@ -28,13 +27,12 @@ from ladar_volume.change.stable_ground import (
     with_stable_ground,
 )
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.diff_input import given_corners
+from ladar_volume.cli.epochs.outputs import plan_of, write_change, write_picture
 from ladar_volume.cli.replay import run_here
 from ladar_volume.io import results
 from ladar_volume.io.bags import wanted_topics
 from ladar_volume.io.config import read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
-from ladar_volume.io.meshfiles.tin_files import write_columns
 from ladar_volume.io.surveys import between_datums, holds_survey, read_survey
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.model.choices import CALIBRATION_GROUPS
@@ -89,17 +87,6 @@ def compare_surveys(
     return facts
 
 
-def write_picture(
-    arguments: argparse.Namespace, facts: Mapping[str, Any], change: ChangeMap, folder: Path
-) -> None:
-    """Write change.png."""
-    from ladar_volume.report.change import ChangeTotals, save  # matplotlib takes a second to load
-
-    title = f"{arguments.new.name} against {arguments.previous.name}"
-    names = ("volume_m3", "sigma_m3", "area_m2", "budget_m6")
-    save(ChangeTotals(*(facts[name] for name in names)), change, title, folder / "change.png")
-
-
 def survey_of(path: Path) -> Survey:
     """The survey in a folder, or in a file result.mcap. Raises as
     :func:`~ladar_volume.io.surveys.read_survey`.
@@ -124,26 +111,6 @@ def replayed(path: Path, console: Console) -> Survey:
         None if datum is None else Datum(**datum),
         replay.engine.estimator.epoch(),
     )
-
-
-def write_change(folder: Path, change: ChangeMap) -> None:
-    """Write the map of change as a mesh with columns."""
-    columns = (
-        "difference_m",
-        "sigma_noise_m",
-        "sigma_shared_m",
-        "sigma_m",
-        "level_m",
-        "significant",
-    )
-    values = {name: np.asarray(getattr(change, name), np.float32) for name in columns}
-    write_columns(folder / "change.ply", change.tin, values)
-
-
-def plan_of(corners: list[str] | None) -> F64 | None:
-    """Corners (c, 2) m in plan from the command line or a file; None without."""
-    given = given_corners(corners, None)
-    return None if given is None else given[:, :2]
 
 
 def input_verdict(previous: Survey, new: Survey, transform: Path | None) -> Verdict:

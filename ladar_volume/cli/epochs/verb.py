@@ -12,7 +12,6 @@ from rich.console import Console
 from ladar_volume.cli.arguments.work import of_known_kind
 from ladar_volume.cli.epochs.clouds import compare_clouds
 from ladar_volume.cli.epochs.rows import show_clouds, show_surveys
-from ladar_volume.cli.epochs.surveys import compare_surveys
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.output_set import output_set
@@ -30,8 +29,12 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     by_clouds = is_of_clouds(arguments)
     with output_set(arguments.output, FILES) as folder:
-        compare = compare_clouds if by_clouds else compare_surveys
-        facts = compare(arguments, folder, console)
+        if by_clouds:
+            facts = compare_clouds(arguments, folder, console)
+        else:
+            from ladar_volume.cli.epochs.surveys import compare_surveys  # with ROS
+
+            facts = compare_surveys(arguments, folder, console)
     if arguments.json:
         print(results.json_text(facts), end="")
     else:
