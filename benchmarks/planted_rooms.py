@@ -58,7 +58,12 @@ METRES = ("cli/test_file_units.py", "io/test_pointfiles.py", "io/test_las_attrib
 TIMES = ("io/test_point_layouts.py", "io/test_messages_bags.py", "io/test_bad_clouds.py", HERE)
 LOG = ("io/test_recorder.py", "test_planted_bugs.py", HERE)
 SETS = ("io/test_output_set.py", HERE)
-LOGGER = ("nodes/test_logger_node.py", "test_planted_bugs.py", HERE)
+LOGGER = (
+    "nodes/test_logger_node.py",
+    "nodes/test_publisher_numbers.py",
+    "test_planted_bugs.py",
+    HERE,
+)
 FLOW = ("nodes/test_flow_control.py", "nodes/test_passes_health.py", "nodes/test_flush.py", HERE)
 CDR = ("io/test_cdr.py", "nodes/test_epoch_node.py", HERE)
 CONVERT = ("nodes/test_epoch_node.py", "nodes/test_flush.py", HERE)
@@ -539,15 +544,15 @@ LINES = (
     Line(
         "messages before the log counted with the first",
         "nodes/logger_node.py",
-        "account.before = sequence - 1",
+        "account.before = max(sequence - 1, 0)",
         "account.before = sequence",
         LOGGER,
     ),
     Line(
         "gaps of several publishers counted",
         "nodes/logger_node.py",
-        "known.publishers == 1 and sequence > 0",
-        "sequence > 0",
+        "self.shared = True",
+        "self.shared = False",
         LOGGER,
     ),
     Line(

@@ -1,9 +1,10 @@
-"""How the tests are spread over processes (``--dist loadgroup``). What compiles the same kernels
-stays in one process: two that need a kernel at the same time both compile it, which takes longer
-than the tests. So do all tests that start nodes: they share two cores and the loopback.
+"""How the tests are spread over processes. What compiles the same kernels stays in one process: two
+that need a kernel at the same time both compile it, which takes longer than the tests. So do all
+tests that start nodes: they share two cores and the loopback.
 """
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,10 +21,24 @@ GROUP = {folder: name for name, folders in TOGETHER.items() for folder in folder
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """One process takes a whole group, or a file that belongs to none. The groups come first: they
-    take longest, and the files that follow fill up what is left of either process.
+    """The groups come first: they take longest, and the files that follow fill up what is left of
+    either process.
     """
     items.sort(key=lambda item: item.path.relative_to(HERE).parts[0] not in GROUP)
-    for item in items:
-        file = item.path.relative_to(HERE)
-        item.add_marker(pytest.mark.xdist_group(GROUP.get(file.parts[0], str(file))))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """pytest-xdist's own groups (its last, 3.8) are lost with pytest 9.2: what it adds to the name
+    of a test is no longer read.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByGroup(LoadScopeScheduling):
+        """One process takes a whole group, or a file that belongs to none."""
+
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.split("::")[0]
+            return GROUP.get(Path(file).parts[1], file)
+
+    return ByGroup(config, log)

@@ -62,6 +62,8 @@ STOP_S = 30.0
 UPSTREAM_S = 2.0
 #: The same for one that has said that it ends, s: it works off its queue.
 ENDING_S = 25.0
+#: How long a node that ends waits for listeners to have what it sent, s.
+ACKED_S = 10.0
 #: How often a node looks who publishes the datum, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
@@ -91,7 +93,7 @@ class StageNode(LifecycleNode, ABC):
         super().__init__(name, **options)
         self.losses = Losses()
         self.failure = ""
-        self.cut_off = False
+        self.cut_off = self.ending = False
         self._defects = Defects()
         self.health = Health()
         self._shares = LossShares()
@@ -303,7 +305,7 @@ class StageNode(LifecycleNode, ABC):
         """
         if self.context.ok() and self._worker is not None:
             self.create_publisher(Empty, "~/ending", LATCHED)
-        began = time.monotonic()
+        self.ending, began = True, time.monotonic()
         while self.context.ok() and self.upstream:
             alive = [self.count_publishers(topic) > 0 for topic, _ in self.upstream]
             self.cut_off |= any(a and not b for a, b in itertools.pairwise(alive))
@@ -329,8 +331,10 @@ class StageNode(LifecycleNode, ABC):
             self.get_logger().error(f"work in the queue was not finished within {STOP_S:g} s")
         if self.context.ok():
             self.publish_diagnostics()
+            deadline = time.monotonic() + ACKED_S
             for publisher in self.publishers:
-                publisher.wait_for_all_acked(Duration(seconds=1))
+                left = max(deadline - time.monotonic(), 0.1)
+                publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
 
     async def flush(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """A service's answer once all that came before has been worked off: two numbers, which the

@@ -35,6 +35,8 @@ FIRST_RATE, LEAST_MEASURED = 2000.0, 50
 #: Time of an update as a share of the pause between two; how long no data must have come until an
 #: update need not wait for more, and until there is no hurry.
 SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
+#: How long a node that ends waits until volume_node has taken the last update, s.
+TAKEN_S = 15.0
 #: Patches refitted by one update of a flush, about: all of a large site at once would take as much
 #: room as all of its patches, and small pieces are refitted again at their rims.
 MOST = 2000
@@ -191,9 +193,15 @@ class FilterNode(StageNode):
             )
 
     def finish(self) -> None:
-        """The last update."""
+        """The last update; whoever takes it has it before this node goes, for what is still on its
+        way then is lost.
+        """
         self._catch_up()
         self._send(self.stage.finish())
+        began = time.monotonic()
+        while self.ending and self.count_publishers("taken") > 0:
+            if self._ahead.all_taken(0.1) or time.monotonic() - began > TAKEN_S:
+                return
 
     def _send(self, update: FilterUpdate | None) -> None:
         if update is not None:

@@ -51,6 +51,11 @@ class UnacknowledgedBytes:
             self._sent.clear()
             self._changed.notify_all()
 
+    def all_taken(self, timeout_s: float) -> bool:
+        """Wait until nothing is in flight. False where that takes longer."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._sent, timeout_s)
+
     def may_send(self, wait: bool = False) -> bool:
         """Whether one more message may be sent: there is room, or no acknowledgement came within
         the timeout. With ``wait``, return as soon as either holds.

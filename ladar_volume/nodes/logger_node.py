@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,10 +80,33 @@ class TopicSubscription:
     reliable: bool
     latched: bool
     subscription: Any = None
-    publishers: int = 1
+    #: The only publisher so far, and whether there were several at once.
+    publisher: bytes = b""
+    shared: bool = False
     sequence: int = 0
     events: int = 0
     gaps: int = 0
+
+    def see_publishers(self, there: Sequence[bytes]) -> None:
+        """Who publishes. Numbers of several publishers cannot be told apart, also when only one of
+        them is left; those of a successor begin anew.
+        """
+        if len(there) > 1:
+            self.shared = True
+        elif there and there[0] != self.publisher:
+            self.sequence = -1 if self.publisher else self.sequence
+            self.publisher = there[0]
+
+    def missing_before(self, sequence: int, publishers: Callable[[], Sequence[bytes]]) -> int:
+        """How many messages are missing between the last one and that of a number. publishers :
+        who is there now, asked where some seem to be missing.
+        """
+        if self.sequence > 0 and sequence > self.sequence + 1 and not self.shared:
+            self.see_publishers(publishers())
+        alone = self.sequence > 0 and not self.shared
+        missing = max(sequence - self.sequence - 1, 0) if alone else 0
+        self.sequence = sequence
+        return missing
 
     @property
     def qos_text(self) -> str:
@@ -96,6 +119,10 @@ class TopicSubscription:
             f"  liveliness: automatic\n  liveliness_lease_duration: {_FOREVER}\n  "
             "avoid_ros_namespace_conventions: false"
         )
+
+
+def _ids(publishers: Sequence[Any]) -> list[bytes]:
+    return [bytes(p.endpoint_gid) for p in publishers]
 
 
 class LoggerNode(StageNode):
@@ -196,17 +223,15 @@ class LoggerNode(StageNode):
             )
             known = self._known.get(topic)
             if known is not None:
-                known.publishers = len(publishers)
+                known.see_publishers(_ids(publishers))
                 if known.reliable <= reliable and known.latched <= latched:
                     continue
                 self.destroy_subscription(
                     known.subscription
                 )  # a newcomer offers less than was asked for
-            self._subscribe(
-                topic,
-                name,
-                TopicSubscription(kinds[0], reliable, latched, publishers=len(publishers)),
-            )
+            known = TopicSubscription(kinds[0], reliable, latched)
+            known.see_publishers(_ids(publishers))
+            self._subscribe(topic, name, known)
 
     def _subscribe(self, topic: str, name: str, known: TopicSubscription) -> None:
         message_type = message_class(known.kind)
@@ -243,15 +268,12 @@ class LoggerNode(StageNode):
             return
         account = self._recorder.account(name)
         sequence = int(info.get("publication_sequence_number") or 0)
-        if (
-            known.publishers == 1 and sequence > 0
-        ):  # the numbers of several publishers cannot be told apart
-            if known.sequence == 0:
-                account.before = sequence - 1
-            elif sequence > known.sequence + 1:
-                known.gaps += sequence - known.sequence - 1
-                account.middleware = max(known.events, known.gaps)
-        known.sequence = sequence
+        if known.sequence == 0 and not known.shared:
+            account.before = max(sequence - 1, 0)
+        missing = known.missing_before(sequence, lambda: self._publisher_ids(name))
+        if missing:
+            known.gaps += missing
+            account.middleware = max(known.events, known.gaps)
         if (
             self.queue.full()
             or self._offered - self._taken + len(data) > self.parameters.logger.queue_bytes
@@ -270,6 +292,9 @@ class LoggerNode(StageNode):
                 sequence,
             ),
         )
+
+    def _publisher_ids(self, name: str) -> list[bytes]:
+        return _ids(self.get_publishers_info_by_topic(f"/{name}"))
 
     # the writing thread
     # -------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
@@ -10,6 +11,7 @@ from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -26,6 +28,8 @@ RELIABLE = QoSProfile(
 #: Listeners are all there when their numbers have not changed for so long, s: a log listens, too,
 #: and may be found before the node that georeferences.
 SETTLED_S = 1.0
+#: How long listeners may take to have what was sent at last, s.
+TAKEN_S = 5.0
 
 
 class Player(Node):
@@ -64,8 +68,8 @@ class Player(Node):
                 if self.stop.is_set():
                     break
                 wait = (raw.t_ns - first) * 1e-9 / self._rate - (time.monotonic() - began)
-                if wait > 0:
-                    time.sleep(wait)
+                if wait > 0 and self.stop.wait(wait):
+                    break
                 self._out[raw.topic].publish(bytes(raw.data))
                 self.sent[roles[raw.topic]] += 1
                 if roles[raw.topic] == "cloud":
@@ -81,26 +85,40 @@ class Player(Node):
             self.get_logger().error(str(error))
         self.done.set()
 
+    def wait_taken(self) -> None:
+        """Wait until all listeners have what was sent: what is on its way when a publisher goes is
+        lost, to one listener or the other.
+        """
+        deadline = time.monotonic() + TAKEN_S
+        for publisher in self._out.values():
+            left = max(deadline - time.monotonic(), 0.1)
+            publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``player BAG [RATE [LISTENERS]]``: play a recording for nodes that already run, once so many
-    listen to every topic, ten seconds later at the latest.
+    listen to every topic, ten seconds later at the latest. A signal ends it in order.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0].startswith("-"):
         print("usage: player BAG [RATE [LISTENERS]]", file=sys.stderr)  # noqa: T201
         return 2
-    rclpy.init()
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
         with BagReader(words[0]) as bag:
             player = Player(bag, bag.roles(), float(words[1]) if len(words) > 1 else 1.0)
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: player.stop.set())
             deadline = time.monotonic() + 10.0
             wanted = int(words[2]) if len(words) > 2 else 1
-            while not player.ready(wanted) and time.monotonic() < deadline:
+            while (
+                not (player.stop.is_set() or player.ready(wanted)) and time.monotonic() < deadline
+            ):
                 rclpy.spin_once(player, timeout_sec=0.1)
             player.run()
+            player.wait_taken()
             player.destroy_node()
-    except (LadarVolumeError, KeyboardInterrupt) as error:
+    except LadarVolumeError as error:
         print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201
         return 2
     finally:

@@ -60,6 +60,8 @@ from ladar_volume.volume.more_data import MoreData
 
 #: Newer data that wait for longer make a volume old, s.
 OLD_S = 5.0
+#: Why a volume is incomplete whose last update is not.
+TORN = "the last update of filter_node did not come whole"
 #: The nodes whose losses are those of the volume.
 UPSTREAM = ("georeference_node", "filter_node")
 
@@ -314,8 +316,9 @@ class VolumeNode(StageNode):
             if v is None
             else f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
         )
-        if self.cut_off:
-            waiting = self._others.waiting_text()
+        torn = bool(self._half or self._parts)
+        if self.cut_off or torn:
+            waiting = self._others.waiting_text() if self.cut_off else TORN
             log.warning(f"incomplete volume: {found}; {waiting}: replay the log")
         elif v is None:
             log.info(f"no volume at the end: {self._why_not}")

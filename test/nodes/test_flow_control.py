@@ -44,3 +44,16 @@ def test_without_news_one_at_a_time_goes_on(monkeypatch):
     one.record_sent(1, MAX_IN_FLIGHT_BYTES + 1)
     assert one.may_send(wait=True) and time.monotonic() - began >= 0.15
     assert one.may_send() is False  # the next one waits as long again
+
+
+def test_a_sender_that_ends_learns_whether_all_was_taken():
+    one = UnacknowledgedBytes()
+    assert one.all_taken(0.0)
+    one.record_sent(1, 10)
+    one.record_sent(2, 10)
+    one.acknowledge(1)
+    assert not one.all_taken(0.01)
+    later = threading.Timer(0.05, one.acknowledge, (2,))
+    later.start()
+    assert one.all_taken(10.0)
+    later.join()
