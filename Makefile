@@ -2,7 +2,7 @@
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
 
-.PHONY: help run test lint bench fuzz mutants wheels docs colcon clean
+.PHONY: help run test lint bench fuzz mutants wheels noble docs colcon clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
@@ -32,6 +32,9 @@ mutants: .venv/ready  ## planted bugs, then mutants of the core: which do the te
 
 wheels: .venv/ready  ## does every pinned package have a wheel for arm64? needs the network
 	tools/check_arm64.sh
+
+noble: .venv/ready  ## the replay to the bits, and tests, with the NumPy and SciPy of Ubuntu 24.04
+	tools/check_noble.sh
 
 docs: .venv/ready  ## regenerate config/default.yaml and docs/parameters.md
 	$(PY) -m ladar_volume.io.config

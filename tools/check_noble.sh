@@ -34,5 +34,6 @@ volume() { # interpreter, folder: volume and sigma to the last digit, and the di
 volume "$python" "$folder/out" >"$folder/ubuntu.volume"
 NUMBA_CACHE_DIR='' volume .venv/bin/python "$folder/pinned" >"$folder/pinned.volume"
 echo "Ubuntu 24.04: $(head -1 "$folder/ubuntu.volume"); pinned: $(head -1 "$folder/pinned.volume")"
-cmp "$folder/ubuntu.volume" "$folder/pinned.volume" && echo "the same to the bit, mesh included"
+cmp "$folder/ubuntu.volume" "$folder/pinned.volume"
+echo "the same to the bit, mesh included"
 "$python" -m pytest -q -n "${JOBS:-2}" "${@:-${ROOMS[@]}}"
