@@ -67,6 +67,9 @@ def seen() -> dict[str, Names]:
             names["topics", "publish"].add(f"/{name}/ending")  # once it ends
             if "calibration" in node.sections:  # while it is configured
                 names["topics", "subscribe"].add("/tf_static")
+            if name == "georeference_node":  # where tf2_msgs is installed
+                names["topics", "publish"] |= {"/tf", "/tf_static"}
+                names["topics", "subscribe"].add("/tf")
             if name == "logger_node":
                 names["topics", "subscribe"] = {"*"}  # all that logger.topics may name
         for _, node in nodes:
