@@ -126,7 +126,7 @@ def filter(points: Points, **options: Option) -> FilterAnswer:
 
 
 def replay(
-    bag: str | PathLike[str],
+    bag: str | PathLike[str] | Sequence[str | PathLike[str]],
     config: str | PathLike[str] | None = None,
     overrides: Mapping[str, object] | None = None,
     start_s: float = 0.0,
@@ -134,15 +134,16 @@ def replay(
 ) -> SurveyAnswer:
     """The volume of a recorded survey, as ``ladar_volume replay``; nothing is written.
 
-    config : parameter file; else ``config.yaml`` in the recording's folder, if any · overrides :
-    parameters by ``section.key``
+    bag : a recording, or several of one survey · config : parameter file; else ``config.yaml`` in
+    the first recording's folder, if any · overrides : parameters by ``section.key``
     """
     from ladar_volume.io.bags import wanted_topics
-    from ladar_volume.io.drivers.packet_capture import open_recording
+    from ladar_volume.io.drivers.recording_series import open_recordings
     from ladar_volume.replay import Replay
 
-    parameters = _parameters(Path(bag), config, overrides or {})
-    with open_recording(Path(bag)) as recording:
+    paths = [Path(p) for p in ([bag] if isinstance(bag, str | PathLike) else bag)]
+    parameters = _parameters(paths[0], config, overrides or {})
+    with open_recordings(paths) as recording:
         survey = Replay(
             recording,
             parameters,

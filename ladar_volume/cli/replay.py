@@ -19,7 +19,7 @@ from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import wanted_topics
 from ladar_volume.io.config import read_config
-from ladar_volume.io.drivers.packet_capture import open_recording
+from ladar_volume.io.drivers.recording_series import open_recordings
 from ladar_volume.io.logs.heard_live import in_words
 from ladar_volume.io.meshfiles.body_mesh import write_bodies
 from ladar_volume.io.output_set import output_set
@@ -82,7 +82,7 @@ def _replay_and_write(
     arguments: argparse.Namespace, parameters: Parameters, folder: Path, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""
-    with open_recording(arguments.bag) as bag:
+    with open_recordings([arguments.bag, *arguments.more]) as bag:
         poses = poses_of(arguments, parameters)
         roles = bag.roles(wanted_topics(topics_by_role(arguments.topic), parameters))
         part = (arguments.start, arguments.duration)
@@ -104,7 +104,7 @@ def _replay_and_write(
         estimate,
         replay.engine.estimator.epoch(),
         result,
-        arguments.bag.name,
+        replay.bag.path.name,
         figure=not arguments.no_figure,
     )
     if not arguments.no_figure:

@@ -63,6 +63,8 @@ class Recording(ABC):
     """Messages of topics in the order in which they came; use as a context manager."""
 
     path: Path
+    #: Recordings that it consists of; of a single one none.
+    parts: tuple[Recording, ...] = ()
 
     @property
     @abstractmethod

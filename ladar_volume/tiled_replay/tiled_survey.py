@@ -118,8 +118,9 @@ class TiledReplay:
         engine = replay.engine
         clock_ns = engine.georeferencer.mount.clock_ns
         clouds, poses = pieces_of(replay.span, p.georeference, clock_ns, piece_s)
-        if isinstance(replay.bag, PacketCapture):  # it is read as a whole each time
-            clouds, poses = [replay.span], [replay.span]
+        parts = replay.bag.parts or (replay.bag,)
+        if any(isinstance(part, PacketCapture) for part in parts):
+            clouds, poses = [replay.span], [replay.span]  # it is read as a whole each time
         log = None if replay.poses is None else replay.poses.path
         plain = {name: v for name, v in asdict(p).items() if name not in AFTERWARDS}
         sources = [replay.bag.digest(), None if replay.poses is None else replay.poses.digest()]
@@ -133,7 +134,7 @@ class TiledReplay:
             datum_height_m=datum.height_m,
         )
         return RecordedSurvey(
-            replay.bag.path.resolve(),
+            tuple(part.path.resolve() for part in parts),
             None if log is None else log.resolve(),
             replace(p, georeference=own),
             dict(replay.topics),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.bags import Recording
-from ladar_volume.io.drivers.packet_capture import open_recording
+from ladar_volume.io.drivers.recording_series import open_recordings
 from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import GeoreferenceParameters, Parameters
@@ -33,11 +33,11 @@ APART = ("point_pose_timeout", "point_waiting_full", "point_before_restart")
 class RecordedSurvey:
     """A recording and what it is replayed with, for workers.
 
-    bag, log : paths of the recording and of the autopilot's log · folder : of pieces and tiles ·
+    bags, log : paths of the recordings and of the autopilot's log · folder : of pieces and tiles ·
     side : of a tile, voxels · clouds, poses : times of receipt of each piece
     """
 
-    bag: Path
+    bags: tuple[Path, ...]
     log: Path | None
     parameters: Parameters
     topics: dict[str, str]
@@ -127,7 +127,7 @@ def georeference_piece(recorded: RecordedSurvey, k: int) -> tuple[int, Piece]:
     if known is not None:
         return k, known
     try:
-        with open_recording(recorded.bag) as bag:
+        with open_recordings(recorded.bags) as bag:
             found = georeference_one(recorded, k, recorded.replay(bag))
     except LadarVolumeError as error:
         first = (recorded.clouds[k][0] - recorded.clouds[0][0]) * 1e-9

@@ -18,6 +18,12 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, ROS 1 .bag, or .pcap")
+    parser.add_argument(
+        "more",
+        type=Path,
+        nargs="*",
+        help="further recordings of the same survey: one after another, or of other sensors",
+    )
     add_common(parser)
     parser.add_argument(
         "--poses",

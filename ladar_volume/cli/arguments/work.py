@@ -67,7 +67,8 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
     for path in clouds:
         if path not in files:
             yield InputError(unknown_cloud(path), reason=f"{InputError.reason}_format")
-    for path in (given.get(name) for name in RECORDINGS.get(verb, ())):
+    recordings = [given.get(name) for name in RECORDINGS.get(verb, ())]
+    for path in (*recordings, *(given.get("more", []) if verb == "replay" else [])):
         if path is not None and not path.exists():
             yield BagError(f"{path}: no such recording", reason="bag_missing", value=str(path))
 

@@ -47,14 +47,29 @@ def counts_of_node(
 
 def heard_and_logged(bag: Recording, topics: Mapping[str, str]) -> dict[str, tuple[int, int]]:
     """By role: how many messages georeference_node had received by its last report, and how many
-    the log has. Empty for a log without reports. topics : by role.
+    the log has. Empty for a log without reports; of several logs the sums of those with reports.
+    topics : by role.
     """
+    out: dict[str, tuple[int, int]] = {}
+    for one in bag.parts or (bag,):
+        for role, (heard, there) in heard_and_logged_once(one, topics).items():
+            before = out.get(role, (0, 0))
+            out[role] = (before[0] + heard, before[1] + there)
+    return out
+
+
+def heard_and_logged_once(bag: Recording, topics: Mapping[str, str]) -> dict[str, tuple[int, int]]:
+    """:func:`heard_and_logged` of a single log."""
     try:
         heard = counts_of_node(live_counts(bag), topics)
     except BagError:  # torn: its reader says so where it reads the sensors
         return {}
     there = bag.topics()
-    return {role: (heard[role], there[topic][1]) for role, topic in topics.items() if role in heard}
+    return {
+        role: (heard[role], there[topic][1] if topic in there else 0)
+        for role, topic in topics.items()
+        if role in heard
+    }
 
 
 def in_words(counts: Mapping[str, int]) -> str:
