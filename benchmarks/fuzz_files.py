@@ -44,7 +44,8 @@ WAIT_S = 300.0
 #: Modules that do the work of the verbs.
 WORK = (
     *("filter", "tin", "volume", "body", "diff", "register", "calibrate", "calibrate_strips"),
-    *("replay", "epochs", "plan", "outputs.export", "scale.tiles", "scale.sites"),
+    *("replay", "epochs.surveys", "epochs.clouds", "plan", "outputs.export", "scale.tiles"),
+    "scale.sites",
 )
 #: Libraries that a verb loads when it needs them; loaded once, too, where they are installed.
 LIBRARIES = (
@@ -275,8 +276,25 @@ def case(kind: str, known: dict[str, Path], folder: Path, random_: random.Random
         Case(("register", str(bad), good, "--json"), (bad,)),
         Case(("volume", str(bad), "--level", "0", "--units", number[:50]), (bad,)),
         Case(("tin", str(bad), "--crs", number[:50], "-o", str(ply)), (bad,), ply),
+        of_epochs(bad, good, folder / "change", number, random_),
     ]
     return random_.choice(cloud)
+
+
+def of_epochs(bad: Path, good: str, out: Path, number: str, random_: random.Random) -> Case:
+    """Two clouds compared, one of them mutated, or with a mutated option."""
+    two = [good, str(bad)] if random_.random() < 0.5 else [str(bad), good]
+    more = {
+        "none": (),
+        "icp": ("--register", "icp"),
+        "height": ("--register", "height"),
+        "reach": ("--register", "icp", f"--reach={number}"),
+        "sigma": (f"--sigma={number}",),
+        "stable": ("--stable", "0,0", "1,0", f"1,{number[:99]}"),
+    }
+    given = more[random_.choice(sorted(more))]
+    words = ("epochs", *two, *given, "--no-figure", "-o", str(out))
+    return Case(words, (bad,), out / "epochs.json")
 
 
 def of_folder(kind: Kind, folder: Path, random_: random.Random) -> Case:
