@@ -1,4 +1,4 @@
-"""Figures of the box experiment: those of seed 000 chapter 5 (5.2 to 5.7), and the package's way
+"""Figures of the box experiment: those of seed 000 chapter 5 (5.1 to 5.7), and the package's way
 beside the published ones.
 """
 
@@ -22,6 +22,7 @@ from ladar_volume.experiments.nist.nist_experiments import (
     scan_frame,
 )
 from ladar_volume.experiments.nist.nist_scene import pair
+from ladar_volume.experiments.nist.nist_uncropped import uncropped_scan
 from ladar_volume.report.plates import save_figure
 from ladar_volume.tin.full_tin import build_tin
 
@@ -31,6 +32,22 @@ def panels(rows: int, columns: int, width: float = 5.2, height: float = 3.8) -> 
     figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def uncropped(_: Study) -> Figure:
+    """Fig. 5.1: footprint triangulation of all that the scanner returns, density 1, seed 0; phantom
+    points of beams that met two surfaces apart.
+    """
+    found = uncropped_scan(1, 0)
+    tin = build_tin(found.points)
+    figure, axes = panels(1, 1, 8.0, 7.4)
+    ax = axes[0, 0]
+    ax.triplot(tin.vertices[:, 0], tin.vertices[:, 1], tin.triangles, lw=0.15, color="black")
+    mixed = found.points[found.phantom]
+    ax.plot(mixed[:, 0], mixed[:, 1], ".", ms=2.5, color="C3", label="phantom points")
+    ax.set(aspect="equal", xlabel="x / m", ylabel="y / m", title="before cropping")
+    ax.legend(fontsize=8)
+    return figure
 
 
 def footprints(_: Study) -> Figure:
@@ -166,6 +183,7 @@ def ways(study: Study) -> Figure:
 
 
 FIGURES: dict[str, Callable[[Study], Figure]] = {
+    "figure_5_1": uncropped,
     "figure_5_2": footprints,
     "figure_5_3": experiment_one,
     "figure_5_4": experiment_two,
