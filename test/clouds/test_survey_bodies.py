@@ -8,9 +8,14 @@ from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
 from ladar_volume.clouds.survey.return_store import ReturnStore
-from ladar_volume.clouds.survey.survey_bodies import objects_on, points_near_outlines
+from ladar_volume.clouds.survey.survey_bodies import (
+    meshed_objects,
+    objects_on,
+    points_near_outlines,
+)
 from ladar_volume.clouds.survey.survey_gradient import on_survey
 from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.model.body_parameters import BodyParameters
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.records import FilteredPoints
 
@@ -108,6 +113,22 @@ def test_a_wall_in_a_few_lines_is_closed_as_the_dense_roof_is():
     assert made.bodies[0].volume_m3 == pytest.approx(2.0 * 1.5 * 1.2, rel=2e-4)
     with pytest.raises(SurfaceError):  # all of the points: edges that suit the roof
         cloud_bodies(r, normal, points.curved, found.label, ground)
+
+
+def test_a_face_that_few_returns_met_is_closed_by_a_coarser_mesh():
+    r, normal = lined_box(np.random.default_rng(4), lines=30)
+    side = np.flatnonzero((r[:, 0] == -1.0) & (normal[:, 0] != 0.0))
+    near = r[side, 1] // 0.26 + 100.0 * (r[side, 2] // 0.26)
+    kept = np.union1d(np.setdiff1d(np.arange(len(r)), side), side[np.unique(near, True)[1]])
+    r, normal = r[kept], normal[kept]
+    points = BodyPoints(r, normal, np.zeros(len(r), bool), np.full(len(r), 0.003), 0.003)
+    ground, options = design_surface([0.0]), BodyParameters()
+    fine = objects_on(points, ground, 0.1)[1]
+    with pytest.raises(SurfaceError):
+        cloud_bodies(r, normal, points.curved, fine, ground, options)
+    found, made = meshed_objects(points, ground, 0.1, options)
+    assert len(found.records) == len(made.bodies) == 1
+    assert made.bodies[0].volume_m3 == pytest.approx(2.0 * 1.5 * 1.2, rel=2e-3)
 
 
 def test_even_rows_hold_a_distance_whatever_the_numbering():

@@ -44,7 +44,7 @@ from ladar_volume.ground.objects import Objects, find_objects, heights_above_gro
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.model.body_parameters import BodyParameters, ObjectParameters
 from ladar_volume.model.cloud_filter_parameters import FilterParameters
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Estimate, Plane, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
@@ -57,6 +57,8 @@ MOST_RETURNS = 3_000_000
 MOST_APART = 0.05
 #: How far away, in radii of the live filter, a patch still stands for a point.
 REACH = 3.0
+#: Meshes that are tried: times the spacing of the sparsest tenth of the points.
+COARSER = (1.0, 2.0**0.5, 2.0)
 #: Lines of the survey's budget that the returns give a body by themselves.
 OF_RETURNS = ("noise", "noise_tangential", "base_surface")
 
@@ -183,9 +185,8 @@ def mesh_returns(raw: F64, parameters: Parameters) -> MeshedReturns:
     plane = dataclasses.replace(parameters.ground, degree=1, surfaces=1)
     ground = fit_ground(points.r, sigma**2, plane, ground_threshold(points))
     doubts = filter_doubts(excluded_points(raw, good_points(raw, result), result, ground))
-    found, even = objects_on(points, ground, parameters.volume.object_height_m)
     options = BodyParameters()
-    made = cloud_bodies(points.r, points.normal, points.curved, even, ground, options)
+    found, made = meshed_objects(points, ground, parameters.volume.object_height_m, options)
     made, checked = check_bodies(made, points, raw, options)
     growth_m = growth_about_bodies(raw, made, points)
     known = uncertainty(made, checked, points, raw, growth_m)
@@ -236,14 +237,37 @@ def _row(
     return SurveyBody(v, sigma, (v - half, v + half), budget, body, height_m, points)
 
 
-def objects_on(points: BodyPoints, ground: Plane, height_m: float) -> tuple[Objects, I64]:
+def meshed_objects(
+    points: BodyPoints, ground: Plane, height_m: float, options: BodyParameters
+) -> tuple[Objects, CloudBodies]:
+    """The objects on the ground that are at least so high, and their closed meshes: as fine as most
+    of what was seen, or coarser where a face that few returns met would stay open. Raises as
+    :func:`objects_on` and, of the finest meshes,
+    :func:`~ladar_volume.clouds.cloud_bodies.cloud_bodies`.
+    """
+    first: SurfaceError | None = None
+    for coarser in COARSER:
+        found, even = objects_on(points, ground, height_m, coarser)
+        try:
+            return found, cloud_bodies(
+                points.r, points.normal, points.curved, even, ground, options
+            )
+        except SurfaceError as error:
+            first = first or error
+    assert first is not None
+    raise first
+
+
+def objects_on(
+    points: BodyPoints, ground: Plane, height_m: float, coarser: float = 1.0
+) -> tuple[Objects, I64]:
     """The objects on the ground that are at least so high, and the label (n,) of those of their
-    points that are to be meshed: thinned to the spacing of the sparsest walls. Raises
-    :class:`VolumeError` (volume_no_body) without any.
+    points that are to be meshed: thinned to ``coarser`` times the spacing of the sparsest walls.
+    Raises :class:`VolumeError` (volume_no_body) without any.
     """
     p = ObjectParameters(min_height_m=CLEAR * (points.noise_m or ground.rms_m))
     raised = np.flatnonzero(heights_above_ground(points.r, [ground], p)[1])
-    some = raised[even_rows(points.r[raised], sparse_spacing(points.r[raised]))]
+    some = raised[even_rows(points.r[raised], coarser * sparse_spacing(points.r[raised]))]
     step = step_between(points.r[some])
     if step:
         p = dataclasses.replace(p, distance_m=step, step_m=step)
