@@ -32,11 +32,9 @@ def bodies(
     height = height_above(tin.vertices, base)
     rising = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
     if not rising.any():
-        raise VolumeError(
-            f"nothing rises more than {object_height_m:g} m above the base",
-            reason="volume_no_body",
-            value=object_height_m,
-        )
+        words = f"nothing rises more than {object_height_m:g} m above the base"
+        words += pit_words(tin, height, object_height_m)
+        raise VolumeError(words, reason="volume_no_body", value=object_height_m)
     label = components(tin, rising)
     chosen = np.flatnonzero(rising)
     h = height[tin.triangles[chosen]]
@@ -49,6 +47,23 @@ def bodies(
         int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)
     ]
     return [label == k for k in (kept[:count] if count else kept)]
+
+
+def pit_words(tin: Tin, height: F64, depth_m: float) -> str:
+    """What lies deeper than so much below the base and what to do, to end a sentence with; empty
+    for nothing. height : (n,) m above the base
+    """
+    falling = tin.relevant & ~any_corner(tin.triangles, ~(height < -depth_m))
+    if not falling.any():
+        return ""
+    t = tin.triangles[falling]
+    area = footprint_areas(tin.vertices, t)
+    x, y = area @ tin.vertices[t, :2].mean(axis=1) / area.sum()
+    return (
+        f"; a pit of {area.sum():.3g} m² is up to {-float(height[t].min()):.3g} m deep about "
+        f"({x:.1f}, {y:.1f}) m: the outline 'all' takes it for fill, volume.polygon_m draws around "
+        "it"
+    )
 
 
 def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
