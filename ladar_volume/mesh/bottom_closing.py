@@ -28,8 +28,9 @@ from ladar_volume.mesh.unseen_foot import extrapolation_reach, unseen_bend, wall
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
-#: Sine of the slope from which on a surface is drawn on along itself.
-STEEP = 0.5
+#: Sine of the slope from which on a surface is drawn on along itself; and from which on where its
+#: foot is then no further out than so many sides of the rim: the toe of a pile, not an eave.
+STEEP, SLOPING, SIDES_OUT = 0.5, 0.1, 4.0
 #: Eigenvalue, of trace 1, of the normals around a vertex below which a direction is in all their
 #: planes.
 IN_PLANE = 0.05
@@ -65,9 +66,9 @@ def tetrahedra(v: F64, triangles: I64, pole: F64) -> float:
     return float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6.0
 
 
-def downward(skin: LinearMesh, vertices: I64, normals: F64) -> F64:
-    """Directions (k, 3) in which the surface with corner normals (m, 3, 3) goes down at vertices;
-    straight where flat or not known.
+def downward(skin: LinearMesh, vertices: I64, normals: F64, least: F64) -> F64:
+    """Directions (k, 3) in which the surface with corner normals (m, 3, 3) goes down at vertices
+    (k,); straight where not known, or flatter than the sines ``least`` (k,).
     """
     M, wanted = np.zeros((len(skin.vertices), 3, 3)), np.zeros(len(skin.vertices), bool)
     wanted[vertices] = True
@@ -82,8 +83,21 @@ def downward(skin: LinearMesh, vertices: I64, normals: F64) -> F64:
         "kia,ka,kja,j->ki", vector, (value < IN_PLANE).astype(np.float64), vector, DOWN
     )
     length = np.linalg.norm(along, axis=1)
-    steep = known & (length > STEEP)
+    steep = known & (length > least)
     return np.where(steep[:, None], along / np.where(steep, length, 1.0)[:, None], DOWN)
+
+
+def least_sine(skin: LinearMesh, rims: list[Rim], ground: Plane) -> F64:
+    """Sines (k,) of the slope from which on the surface is drawn on along itself at the vertices of
+    all rims: less than ``STEEP`` where they are so near to the ground that their feet are, too.
+    """
+    out = []
+    for rim in rims:
+        p = skin.vertices[rim.vertices]
+        side = float(np.linalg.norm(p - np.roll(p, 1, axis=0), axis=1).mean())
+        up = np.abs(height_above(p, ground))
+        out.append(np.clip(up / np.hypot(up, SIDES_OUT * side), SLOPING, STEEP))
+    return np.concatenate(out)
 
 
 def ground_feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
@@ -98,6 +112,15 @@ def ground_feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
         along[:, :, None] * design(q[:, :2], ground.origin_xy, 1)[:, None, :] / rate[:, None, None]
     )
     return q, by_point, by_ground
+
+
+def nearer_feet(q: F64, other: F64, along: F64) -> F64:
+    """The other feet (k, 3) of rims, nearer to theirs q (k, 3) where a surface flatter than
+    ``STEEP`` goes on to the ground along directions (k, 3): it ends anywhere between the two, and
+    the root mean square of that about its end is its length over √3.
+    """
+    flat = np.linalg.norm(along[:, :2], axis=1) > np.sqrt(1.0 - STEEP * STEEP)
+    return np.where(flat[:, None], q + (other - q) / np.sqrt(3.0), other)
 
 
 def by_direction(p: F64, along: F64, ground: Plane) -> csr_matrix:
@@ -126,7 +149,8 @@ def join_to_ground(
     own = np.broadcast_to(
         vertex_normals(skin.vertices, skin.triangles)[skin.triangles], skin.normals.shape
     )
-    tangent = downward(skin, all_of, np.where(np.isnan(skin.normals), own, skin.normals))
+    corner = np.where(np.isnan(skin.normals), own, skin.normals)
+    tangent = downward(skin, all_of, corner, least_sine(skin, rims, ground))
     known = has_known_normals(skin, all_of)
     straight = np.broadcast_to(DOWN, tangent.shape)
     p = skin.vertices[all_of]
@@ -134,6 +158,7 @@ def join_to_ground(
     along, by_lean = _wall_directions(skin, rims, ground, along)
     q, by_point, by_ground = ground_feet(p, along, ground)
     other, _, _ = ground_feet(p, np.where(known[:, None], straight, tangent), ground)
+    other = nearer_feet(q, other, along)
     size = max(r.size_m for r in rims)
     there = np.abs(height_above(p, ground)) <= ON_GROUND * size
     q[there] = other[there] = p[there]

@@ -92,6 +92,25 @@ def test_two_cubes_on_the_ground(cloud, tmp_path, capsys):
     assert names["vertex"][-1] == "kind" and names["face"][-2:] == ["closed", "body"]
 
 
+@pytest.mark.parametrize("seed", [20, 22])
+def test_the_toe_of_a_flat_pile_is_part_of_it(seed, tmp_path, capsys):
+    """Cut off where it meets the noise of the ground, V would be 0.6 to 0.9 % low, at a sigma of
+    0.3 %.
+    """
+    rng = np.random.default_rng(seed)
+    rng.choice(3)
+    foot, height = rng.uniform(0.8, 1.6), rng.uniform(0.4, 1.0)
+    q, angle = foot * np.sqrt(rng.uniform(0, 1, 3000)), rng.uniform(0, 2 * np.pi, 3000)
+    top = np.column_stack([q * np.cos(angle), q * np.sin(angle), height * (1 - q / foot)])
+    level = np.column_stack([rng.uniform(-4, 4, (9000, 2)), np.zeros(9000)])
+    p = np.concatenate([top, level[np.hypot(level[:, 0], level[:, 1]) > foot]])
+    write_cloud(tmp_path / "pile.ply", p + rng.normal(0, 0.01, p.shape))
+    facts = answer(capsys, tmp_path / "pile.ply", "-o", tmp_path / "body.ply")
+    true = np.pi * foot**2 * height / 3
+    assert facts["volume_m3"] == pytest.approx(true, rel=0.004)
+    assert abs(facts["volume_m3"] - true) < 2.0 * facts["sigma_m3"] < 0.03 * true
+
+
 def test_one_body_by_region_or_pick(cloud, tmp_path, capsys):
     out = tmp_path / "one.ply"
     whole = answer(capsys, cloud, "-o", out, "--box=-1,-1,-1,1,1,2")
