@@ -107,7 +107,8 @@ LOSSES = (
 def books_close(tree: Path, seconds: float) -> tuple[bool, list[str]]:
     """Whether a flight through the nodes of ``tree`` ends with closed books, and what is open."""
     command = [sys.executable, "-m", "benchmarks.soak", "--seconds", str(seconds), "--faults", ""]
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    paths = os.pathsep.join([str(tree), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         command, cwd=tree, env=environment, capture_output=True, text=True, timeout=600
     )

@@ -8,7 +8,7 @@ copy=$(mktemp -d)
 trap 'rm -rf "$copy"' EXIT
 (cd "$here" && tar -cf - --exclude=.git --exclude=.venv --exclude=out .) | tar -xf - -C "$copy"
 PATH="$here/.venv/bin:$PATH"
-export PATH PYTHONPATH="$copy"
+export PATH PYTHONPATH="$copy${PYTHONPATH:+:$PYTHONPATH}"
 cd "$copy"
 cosmic-ray init "$config" mutants.sqlite --force
 cosmic-ray exec "$config" mutants.sqlite

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from own_process import python_path
 from rosbags.highlevel import AnyReader
 
 from ladar_volume.io.bags import TYPESTORE, BagReader
@@ -387,7 +388,7 @@ def test_kill_nine_loses_at_most_a_second(tmp_path):
         capture_output=True,
         text=True,
         timeout=120,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": python_path(ROOT)},
     )
     assert done.returncode == 0, done.stderr + done.stdout
 

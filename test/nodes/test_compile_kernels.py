@@ -6,6 +6,8 @@ import sys
 import textwrap
 from pathlib import Path
 
+from own_process import python_path
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -13,6 +15,8 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
     code = """if True:
     import sys
     from pathlib import Path
+
+from own_process import python_path
     from numba.core.caching import Cache
     from ladar_volume import compile_kernels
     from ladar_volume.replay import Replay
@@ -68,7 +72,7 @@ def test_a_first_start_tells_how_far_the_compiler_is(tmp_path):
         time.sleep(0.05)
     print(said)
     """
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": python_path(ROOT)}
     script = tmp_path / "script.py"
     script.write_text(textwrap.dedent(code.removeprefix("if True:\n")))
     done = subprocess.run(

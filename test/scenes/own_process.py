@@ -18,8 +18,12 @@ def own_graph():
     clone or in another one, do not hear each other.
     """
     with private_graph() as graph:
-        paths = os.pathsep.join([str(ROOT), str(ROOT / "test" / "scenes")])
-        yield os.environ | graph | {"PYTHONPATH": paths}
+        yield os.environ | graph | {"PYTHONPATH": python_path(ROOT, ROOT / "test" / "scenes")}
+
+
+def python_path(*folders):
+    """PYTHONPATH with these first; ROS from apt is found by what is in it already."""
+    return os.pathsep.join([*map(str, folders), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
 def printed_by(*command, timeout_s=120):
