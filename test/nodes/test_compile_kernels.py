@@ -15,8 +15,6 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
     code = """if True:
     import sys
     from pathlib import Path
-
-from own_process import python_path
     from numba.core.caching import Cache
     from ladar_volume import compile_kernels
     from ladar_volume.replay import Replay
