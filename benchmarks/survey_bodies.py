@@ -4,9 +4,10 @@ bodies``. Error of each against its printed sigma.
 
 ``python -m benchmarks.survey_bodies [--seeds N] [--first SEED] [--thin K] [--exact]``: bias and
 spread in per cent, 95 % intervals that hold, refused and doubtful surveys; the surface's volume of
-the same replay beside it. ``--exact`` draws no errors of calibration and navigation: what remains
-is the noise of single returns and the bias of the method, which a few surveys show. Sigma believes
-in the errors all the same. ``--thin``: every so many firing cycles.
+the same replay beside it. *Drawn* is what the drawn errors of calibration and navigation do by the
+body's sensitivities, the *rest* is the method's and the ground's: z by the body's own lines.
+``--exact`` draws no errors of calibration and navigation. Sigma believes in the errors all the
+same. ``--thin``: every so many firing cycles.
 """
 
 from __future__ import annotations
@@ -20,10 +21,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.drawn_effects import drawn_effect
+from ladar_volume.clouds.survey.survey_bodies import (
+    SurveyBodies,
+    mesh_returns,
+    returns_around,
+    shared_gradient,
+    with_budget,
+)
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.records import Estimate
 from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
@@ -36,6 +46,8 @@ from ladar_volume.simulation.survey import Survey
 DURATION_S, SURVEYS = 24.0, 12
 #: Half the width of the ground and its step, m; ground around the body, m.
 EXTENT_M, STEP_M, RING_M = 20.0, 0.2, 2.5
+#: Lines of a body's budget that are neither calibration nor navigation.
+OWN = ("noise", "ground", "closing", "fit", "between", "facets", "undercut", "base_surface")
 #: Ranges (low, high) in metres of length, width and height by kind; the mast of the rover sees no
 #: higher top.
 SIZES = {
@@ -66,7 +78,7 @@ def without_shared_errors(budget: BudgetParameters) -> BudgetParameters:
 
 class BodyError(NamedTuple):
     """Of one survey, m³: the truth, the body's volume and sigma, the surface's; doubts, or why it
-    was refused.
+    was refused; what the drawn errors do to it, and the root of its lines that are none of these.
     """
 
     truth: float
@@ -75,6 +87,8 @@ class BodyError(NamedTuple):
     surface: float
     surface_sigma: float
     words: str
+    drawn: float = np.nan
+    own_sigma: float = np.nan
 
 
 def turned(scene: Scene, angle: float) -> Scene:
@@ -131,21 +145,36 @@ def survey(seed: int, thin: int = 1, exact: bool = False) -> BodyError:
         settings["budget"] = start.write()["budget"]
         options = SurveyParameters(DURATION_S, thin, 10.0, 100.0, mixed_share=0.0, seed=seed)
         drawn = without_shared_errors(start.budget) if exact else start.budget
-        write_bag(Survey(scene, platform, drawn, options), folder, settings, lambda share: None)
+        made = Survey(scene, platform, drawn, options)
+        write_bag(made, folder, settings, lambda share: None)
         with BagReader(folder) as bag:
             replay = Replay(bag, read_config(folder / "config.yaml"), bag.roles({}))
             estimate = replay.run()
             v = estimate.volume
             surface = v.volume_m3, v.sigma_m3
             try:
-                found = replay.closed_bodies(estimate)
+                found, effect = closed_bodies(replay, estimate, made)
             except LadarVolumeError as error:
                 return BodyError(scene.volume_m3, np.nan, np.nan, *surface, str(error))
     words = "; ".join(d.text for d in found.verdict.doubts)
     one = found.bodies[0]
     if len(found.bodies) > 1:
         words = f"{len(found.bodies)} bodies; {words}"
-    return BodyError(scene.volume_m3, one.volume_m3, one.sigma_m3, *surface, words)
+    own = sum(value for name, value in one.budget_m6.items() if name in OWN)
+    answer = one.volume_m3, one.sigma_m3, *surface, words, effect, np.sqrt(own)
+    return BodyError(scene.volume_m3, *answer)
+
+
+def closed_bodies(replay: Replay, estimate: Estimate, made: Survey) -> tuple[SurveyBodies, float]:
+    """The closed bodies of a replay, and what the drawn errors do to the largest, m³."""
+    p, sources = replay.parameters, replay.engine.estimator.epoch().sources
+    near = returns_around(estimate, replay.engine.returned.returns(), p)
+    meshed = mesh_returns(near, p)
+    k = int(np.argmax([body.volume_m3 for body in meshed.bodies.bodies]))
+    body, rows = meshed.bodies.bodies[k], meshed.bodies.sources[k]
+    moved = shared_gradient(body, rows, meshed.points, meshed.ground, sources)
+    effect = drawn_effect(made, moved.gradient, sources)
+    return with_budget(meshed, sources, p), effect
 
 
 def run(
@@ -159,6 +188,7 @@ def run(
         words = f"{100.0 * (r.body / r.truth - 1.0):+.2f} ± {100.0 * r.sigma / r.truth:.2f} %"
         beside = f"{100.0 * (r.surface / r.truth - 1.0):+.2f} %"
         kind = f"{scene_of(seed)[0]} {('uav', 'rover')[seed % 2]}"
+        words += f", drawn {100.0 * r.drawn / r.truth:+.2f} %"
         print(f"{seed} {kind}: {words} ({beside}) {r.words}", file=sys.stderr, flush=True)
     made = [r for r in rows if np.isfinite(r.body)]
     sound = [r for r in made if not r.words]
@@ -166,6 +196,9 @@ def run(
     z = np.array([(r.body - r.truth) / r.sigma for r in made])
     own = np.array([(r.body - r.truth) / r.sigma for r in sound])
     surface = np.array([100.0 * (r.surface / r.truth - 1.0) for r in rows])
+    rest = np.array([r.body - r.truth - r.drawn for r in made])
+    rest_pct = 100.0 * rest / [r.truth for r in made]
+    rest_z = rest / [r.own_sigma for r in made]
     return {
         "surveys": surveys,
         "refused": len(rows) - len(made),
@@ -176,6 +209,8 @@ def run(
         "body, mean and spread of z": f"{z.mean():+.2f} ± {z.std(ddof=1):.2f}",
         "body, 95 % intervals that hold": f"{int((np.abs(z) < 1.96).sum())} of {len(z)}",
         "of sound ones": f"{int((np.abs(own) < 1.96).sum())} of {len(own)}",
+        "rest, mean and spread %": f"{rest_pct.mean():+.3f} ± {rest_pct.std(ddof=1):.3f}",
+        "rest, mean and spread of z": f"{rest_z.mean():+.2f} ± {rest_z.std(ddof=1):.2f}",
         "surface, bias %": round(float(surface.mean()), 3),
         "surface, spread %": round(float(surface.std(ddof=1)), 3),
     }
