@@ -26,6 +26,9 @@ from ladar_volume.volume.neighbourhood import Smooth, grow
 
 #: What is left per area and standard deviation of the smoothed height, where the truth is zero.
 LEFT = (2.0 - math.sqrt(2.0)) / math.sqrt(2.0 * math.pi)
+#: Variance of ``2 Σ w μ̂²/s'² / Σ w − 1``, w = exp(−μ̂² / 2s'²), of one independent place where the
+#: truth is zero: ``4 E w² (x² − 1/2)² / (E w)²``, and E w² = 1/√3, x² of variance 1/3 under w².
+OF_SPREAD = 2.0 / math.sqrt(3.0)
 #: Median of chi square over its degrees of freedom for a neighbourhood of two rings (16 of them).
 MEDIAN = 0.959
 #: Most by which the vertices' variances are raised; beyond, the ground is rough, not noisy.
@@ -59,7 +62,7 @@ def remaining_fold(smooth: Smooth, triangles: I32, area: F64, rings: int) -> Rem
     members = float(np.mean(1 + 3 * grown[own > 0.0] * (grown[own > 0.0] + 1)))
     independent = max(float(np.count_nonzero(own)) / members, 1.0)
     spread = 2.0 * float((left * square)[whole].sum()) / fold - 1.0
-    error = math.sqrt(2.0 / independent)
+    error = math.sqrt(OF_SPREAD / independent)
     taken = fold * (1.0 - min(max(spread, -0.5), 1.0))
     return RemainingFold(taken, math.hypot(min(max(spread, 0.0) + error, 1.0) * fold, 0.5 * ended))
 
