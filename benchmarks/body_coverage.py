@@ -25,6 +25,7 @@ from benchmarks.bodies import Sample, ball, disc, joined, pipe
 from benchmarks.truth import F64, box_faces, rotation, sample_polygons
 from ladar_volume.cli.main import main as ladar_volume
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
+from ladar_volume.simulation.scenes import Ground
 
 SEEDS = 10
 #: Share of stray points, and how far above the highest point their box reaches.
@@ -146,6 +147,30 @@ def box(rng: np.random.Generator) -> Scene:
     words = "×".join(f"{x:.2f}" for x in a) + f" m, spacing {100 * spacing:.1f} cm"
     noise = rng.uniform(0.1, 0.3) * spacing
     return scene(both(shell, floor), noise, (float(a.prod()),), words, rng)
+
+
+def box_on_rough_ground(rng: np.random.Generator) -> Scene:
+    """A box on ground that undulates by 5 to 20 mm over half a metre to one and a half."""
+    a = rng.uniform((1.0, 1.0, 0.6), (3.0, 3.0, 2.0))
+    ground = Ground(
+        rough_m=rng.uniform(0.005, 0.02),
+        length_m=rng.uniform(0.5, 1.5),
+        seed=int(rng.integers(1 << 31)),
+    )
+    x, y = a[:2] / 2
+    spacing = float(np.cbrt(a.prod())) / rng.uniform(15.0, 30.0)
+    faces = box_faces(np.array([-x, -y, -0.1]), np.array([x, y, a[2]]))[1:]
+    area = 4 * x * y + 4 * (a[2] + 0.1) * (x + y)
+    at, n = sample_polygons(faces, int(area / spacing**2), rng)
+    seen = at[:, 2] > ground(*at[:, :2].T)
+    half = tuple(a[:2] / 2 + 2.0)
+    count = int(4 * half[0] * half[1] / spacing**2)
+    floor, up = ground_around(half, count, lambda q: (abs(q) < (x, y)).all(axis=1), rng)
+    floor[:, 2] = ground(*floor[:, :2].T)
+    truth = 4 * x * y * (a[2] - ground.mean_over_box(-x, x, -y, y))
+    words = "×".join(f"{s:.2f}" for s in a) + f" m, ground ±{1e3 * ground.rough_m:.0f} mm"
+    noise = rng.uniform(0.1, 0.3) * spacing
+    return scene(both((at[seen], n[seen]), (floor, up)), noise, (float(truth),), words, rng)
 
 
 def house(rng: np.random.Generator) -> Scene:
@@ -428,6 +453,7 @@ KINDS: dict[str, Maker] = {
     "on wheels": on_wheels,
     "cup": cup,
     "car on a slope": car,
+    "box on rough ground": box_on_rough_ground,
 }
 
 

@@ -134,6 +134,11 @@ def test_good_points_that_a_filter_left_out():
     # one body of two is lost: its own share counts, not that of the whole
     lost = excluded_points(raw, good, result, design_surface([0.0]))
     assert lost.share == 1.0 and lost.above == pytest.approx(len(other), abs=3)
+    # a few points by themselves are no body: the end of a wall that was seen aslant
+    few_left = np.concatenate([pile, other[:12]])
+    still = dataclasses.replace(result, outliers=np.arange(len(pile), len(few_left)))
+    lost_few = excluded_points(few_left, np.ones(len(few_left), bool), still, design_surface([0.0]))
+    assert 0.0 < lost_few.share < 0.05
     came = unfiltered_points(raw, good, 0.01, lost.share)
     assert came.filtered is None and np.array_equal(came.r, raw[good])
 
