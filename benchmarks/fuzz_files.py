@@ -154,6 +154,10 @@ def seeds(folder: Path) -> dict[str, Path]:
     (folder / "T.json").write_text(json.dumps(facts, indent=1))
     (folder / "a.e57").write_bytes(e57(r))
     out["cloud a.e57"] = folder / "a.e57"
+    np.savetxt(folder / "a.pts", r, fmt="%.4f", header=str(len(r)), comments="")
+    out["cloud a.pts"] = folder / "a.pts"
+    (folder / "a.tif").write_bytes(geotiff(r))
+    out["cloud a.tif"] = folder / "a.tif"
     survey(folder)
     rows = "".join(f"{x:.4f},{y:.4f}\n" for x, y in rng.normal(0.0, 0.01, (12, 2)))
     (folder / "c.csv").write_text(f"roll_deg,pitch_deg\n{rows}")
@@ -165,6 +169,22 @@ def seeds(folder: Path) -> dict[str, Path]:
         "corners": folder / "corners.txt",
         "survey": folder / "result.mcap",
     }
+
+
+def geotiff(r: np.ndarray) -> bytes:
+    """A raster of the highest of the points (n, 3) in each cell."""
+    import rasterio
+    from rasterio.io import MemoryFile
+
+    z = np.full((24, 24), -9999.0)
+    row, column = np.clip((12.0 - 6.0 * r[:, 1], 12.0 + 6.0 * r[:, 0]), 0, 23).astype(int)
+    np.maximum.at(z, (row, column), r[:, 2])
+    place = rasterio.Affine(1.0 / 6.0, 0.0, -2.0, 0.0, -1.0 / 6.0, 2.0)
+    shape = {"width": 24, "height": 24, "count": 1, "dtype": "float64", "nodata": -9999.0}
+    with MemoryFile() as memory:
+        with memory.open(driver="GTiff", crs="EPSG:25832", transform=place, **shape) as file:
+            file.write(z, 1)
+        return bytes(memory.read())
 
 
 def e57(r: np.ndarray) -> bytes:

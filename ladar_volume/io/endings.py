@@ -18,7 +18,7 @@ ENCODINGS: dict[str, tuple[str, ...]] = {
     ".laz": ("laz",),
 }
 #: Point clouds that are read.
-CLOUD_ENDINGS = (*ENCODINGS, ".e57")
+CLOUD_ENDINGS = (*ENCODINGS, ".pts", ".e57", ".tif", ".tiff")
 #: Meshes: endings that are written, and those that are read.
 ENDINGS = (".ply", ".obj", ".stl", ".off")
 LANDXML = (".xml", ".landxml")

@@ -1,5 +1,5 @@
-"""Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, COPC (``.copc.laz``), and E57, which
-is only read; by the ending of their name.
+"""Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, COPC (``.copc.laz``), and PTS, E57
+and GeoTIFF, which are only read; by the ending of their name.
 
 Coordinates come in metres, whatever the file holds. Points keep the order of the file; those left
 out (no return, noise classes, withheld) are counted, and ``PointFile.rows`` tells the row of each
@@ -95,6 +95,10 @@ def _reader(ending: str, columns: bool) -> Callable[[Path], RawTable]:
         from ladar_volume.io.pointfiles.e57 import read_e57  # libE57
 
         return lambda path: read_e57(path, columns)
+    if ending in (".tif", ".tiff"):
+        from ladar_volume.io.pointfiles.geotiff import read_geotiff  # rasterio
+
+        return read_geotiff
     return {".ply": ply.ply_table, ".pcd": pcd.pcd_table, ".npy": _read_npy}.get(
         ending, text.text_table
     )

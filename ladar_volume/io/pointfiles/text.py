@@ -1,5 +1,5 @@
-"""Point clouds as text: XYZ, TXT, ASC (white space) and CSV (comma), with or without header, with
-comments; names, units and decimal commas of other programs.
+"""Point clouds as text: XYZ, TXT, ASC (white space), CSV (comma) and PTS (the number of points
+first), with or without header, with comments; names, units and decimal commas of other programs.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ LINE_LIMIT = 100_000
 SAMPLE = 2_000
 #: Rows from which on a first column that counts them is no coordinate.
 COUNTED = 4
+#: A line that holds the number of points that follow.
+COUNT = re.compile(r"^\d{1,15}$")
+#: Columns after x, y, z of a PTS file, by the number of all.
+PTS = {4: ["intensity"], 6: ["red", "green", "blue"], 7: ["intensity", "red", "green", "blue"]}
 #: A number with a decimal comma.
 COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
 #: A row of decimal commas with commas between, which could mean two things.
@@ -45,6 +49,7 @@ class _Layout:
     quoted: bool = False
     comments: list[str] = field(default_factory=list)
     encoding: str = "utf-8-sig"
+    announced: int | None = None
 
 
 def text_table(path: Path) -> RawTable:
@@ -66,6 +71,10 @@ def text_table(path: Path) -> RawTable:
             reason="cloud_values",
         ) from error
     _check_counted(layout, columns)
+    count = len(columns[layout.names[0]])
+    if layout.announced is not None and layout.announced != count:
+        words = f"{layout.announced} points are announced in the first line, {count} are there"
+        raise CloudError(words, reason="cloud_short", value=count)
     return RawTable(columns, of_comments(layout.comments), _step(path, layout))
 
 
@@ -115,7 +124,7 @@ def _columns(path: Path, layout: _Layout) -> Columns:
 def _layout(path: Path) -> _Layout:
     header: list[str] = []
     comments: list[str] = []
-    titled, encoding = False, _encoding(path)
+    titled, encoding, announced = False, _encoding(path), None
     with path.open(encoding=encoding, errors="replace") as file:
         for number in itertools.count():
             line = file.readline(LINE_LIMIT)
@@ -135,11 +144,14 @@ def _layout(path: Path) -> _Layout:
             separator = _separator(text)
             words = _words(text, separator)
             comma = separator != "," and any(COMMA.match(w) for w in words)
+            if COUNT.match(text) and announced is None and not titled:
+                announced = int(text)
+                continue
             if _is_number(words[0], separator != ","):
                 named = titled or (
                     len(header) == len(words) and _has_xyz(header)
                 )  # a comment may be no header at all
-                names = header if named else [*"xyz", *(f"c{k}" for k in range(3, len(words)))]
+                names = header if named else usual_names(path, len(words))
                 if AMBIGUOUS.match(text):
                     raise CloudError(
                         f"the row {text[:80]!r}: commas between numbers and within them; write "
@@ -157,8 +169,10 @@ def _layout(path: Path) -> _Layout:
                     separator != "," and any(COMMA.match(w) for w in _sample_rows(rows, separator))
                 )
                 numeric = [_is_number(w, separator != ",") or not w for w in words]
+                quoted = '"' in text
                 return _Layout(
-                    names, number, separator, numeric, comma, '"' in text, comments, encoding
+                    *(names, number, separator, numeric, comma, quoted, comments, encoding),
+                    announced,
                 )
             if titled or not _has_xyz(words):
                 raise CloudError(
@@ -168,6 +182,12 @@ def _layout(path: Path) -> _Layout:
                 )
             header, titled = words, True
     raise AssertionError("unreachable")
+
+
+def usual_names(path: Path, count: int) -> list[str]:
+    """What the columns of a table without names are."""
+    more = PTS.get(count) if path.suffix.lower() == ".pts" else None
+    return [*"xyz", *(more or [f"c{k}" for k in range(3, count)])]
 
 
 def _encoding(path: Path) -> str:
