@@ -163,6 +163,15 @@ def test_which_column_is_longitude_is_not_guessed_in_silence(volume, tmp_path):
     assert "axis_order" not in {d["name"] for d in facts["verdict"]["reasons"]}
 
 
+def test_whole_numbers_without_a_unit_are_doubtful(volume, tmp_path):
+    np.savetxt(tmp_path / "mm.xyz", np.rint(1000.0 * site()), fmt="%d")
+    facts = volume(tmp_path / "mm.xyz", "--base", "ground")
+    assert "units_whole" in [r["name"] for r in facts["verdict"]["reasons"]]
+    facts = volume(tmp_path / "mm.xyz", "--base", "ground", "--units", "mm")
+    assert facts["net_m3"] == pytest.approx(np.pi * 144.0 * 3.0, rel=0.01)
+    assert facts["verdict"]["status"] == "sound"
+
+
 def test_two_clouds_in_unlike_units_are_doubtful(volume, tmp_path):
     r = site(800) + np.array([0.0, 0.0, 50.0])
     np.savetxt(tmp_path / "mm.xyz", 1e3 * r)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,15 +63,13 @@ def middles(seen: np.ndarray[tuple[int, int], np.dtype[np.bool_]], place: F64) -
     return out
 
 
-def stated_coordinates(crs: object | None, unit: str | None) -> Coordinates:
-    """What the raster says of its system, and of the unit of its heights."""
-    said = (
-        Coordinates() if crs is None else coordinates_of(crs_of_text(wkt_of(crs), "it"), "header")
-    )
+def stated_coordinates(crs: object | None, unit: str | None) -> Coordinates | None:
+    """What the raster says of its system, and of the unit of its heights; None for nothing."""
     up = unit_of_word(unit) if unit else None
-    if up is None or said.up is not None:
-        return said
-    return Coordinates(said.crs, said.across, up, said.degrees, said.heights, said.said_by)
+    if crs is None:
+        return None if up is None else Coordinates(up=up)
+    said = coordinates_of(crs_of_text(wkt_of(crs), "the raster"), "header")
+    return said if up is None or said.up is not None else replace(said, up=up)
 
 
 def wkt_of(crs: object) -> str:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 MOST_STRETCH = 0.02
 #: Largest coordinate, m: beyond it a double has steps of micrometres.
 FARTHEST_M = 1e10
+#: Whole numbers without a unit that spread further than this are hardly metres.
+WHOLE_FROM = 500.0
 #: Degrees are told from metres by heights that spread this many times more than the site is wide.
 STEEP = 20.0
 #: Systems that name longitude first, by their numbers in the EPSG register.
@@ -127,6 +129,8 @@ def to_metres(
             "with --units"
         )
         doubts.append(Doubt("height_unit", words, 1.0 / across.metres))
+    if declared.said_by == "nothing":
+        doubts += whole_number_doubts(r)
     asked = reading.refuse_degrees or declared.crs is not None
     if not declared.degrees and reading.across is None and asked:
         refuse_degrees(r, declared)
@@ -178,6 +182,22 @@ def refuse_degrees(r: F64, declared: Coordinates) -> None:
             reason="input_degrees",
             value=[float(mid[0]), float(mid[1])],
         )
+
+
+def whole_number_doubts(r: F64) -> list[Doubt]:
+    """Coordinates (n, 3) without a unit that are all whole numbers and spread far: no survey in
+    metres is rounded so, one in millimetres or centimetres is.
+    """
+    some = r[:: max(1, len(r) // 20_000)]
+    wide = float(np.ptp(some[:, :2], axis=0).max(initial=0.0)) if len(some) else 0.0
+    if not WHOLE_FROM < wide < np.inf or not (some == np.rint(some)).all():
+        return []
+    words = (
+        f"nothing names a unit, and all coordinates are whole numbers over {wide:.3g}: they are "
+        "taken for metres, and V would be 1e-09 times as large if they are millimetres; give "
+        "--units"
+    )
+    return [Doubt("units_whole", words, wide)]
 
 
 def axis_order_doubts(r: F64, declared: Coordinates) -> list[Doubt]:
