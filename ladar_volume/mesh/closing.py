@@ -19,10 +19,17 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.polynomial import degree_of, height_above
-from ladar_volume.mesh.bottom_closing import IN_PLANE, Closure, join_to_ground, tetrahedra
+from ladar_volume.mesh.bottom_closing import (
+    IN_PLANE,
+    Closure,
+    in_plane,
+    join_to_ground,
+    loops_of,
+    tetrahedra,
+)
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.ground_clipping import clip_to_ground, steepness
-from ladar_volume.mesh.hole_filling import least_area
+from ladar_volume.mesh.hole_filling import inside_loop, least_area, loop_area
 from ladar_volume.mesh.linear_mesh import (
     GAP,
     Faces,
@@ -38,6 +45,8 @@ from ladar_volume.model.records import F64, I64, Bool, Plane
 
 #: Longest rim filled with the least area; its search takes the cube of this.
 LONGEST = 200
+#: Share of what is closed below which a hole is one of the mesh, about two spacings of its points.
+SCRAP = 0.25
 #: A rim that looks down by less than this may be a hole with ragged triangles.
 RAGGED = 0.5
 
@@ -60,6 +69,8 @@ def close(
         if any(height_above(skin.vertices[r.vertices], ground).min() < 0.0 for r in bottoms):
             skin = split_fans(clip_to_ground(skin, ground))
             skin, bottoms, gaps = sorted_rims(skin, ground, up, close_m)
+    bottoms, hollows = small_hollows(skin, bottoms, up, close_m)
+    gaps += hollows
     hint = "" if ground is not None else ", or give the ground it stands on"
     made: list[Closure] = []
     for rim in gaps:
@@ -91,6 +102,36 @@ def sorted_rims(
         [r for r, d in zip(rims, down, strict=True) if d],
         [r for r, d in zip(rims, down, strict=True) if not d],
     )
+
+
+def small_hollows(
+    skin: LinearMesh, bottoms: list[Rim], up: F64, close_m: float
+) -> tuple[list[Rim], list[Rim]]:
+    """The rims that look down, and those among them that enclose a hollow beside the body, no wider
+    than ``close_m``: where the noise folds the surface along the ground, a scrap of it is left. One
+    below :data:`SCRAP` of that is no hole through the body either.
+    """
+    if len(bottoms) < 2:
+        return bottoms, []
+    plane = in_plane(np.concatenate([skin.vertices[r.vertices] for r in bottoms]), up)
+    loops = loops_of(bottoms)
+    outers = [i for i in loops if loop_area(plane[i]) > 0.0]
+    small = [
+        bool(outers)
+        and loop_area(plane[i]) <= 0.0
+        and rim.size_m <= close_m
+        and (rim.size_m <= SCRAP * close_m or not _within(plane, outers, i))
+        for rim, i in zip(bottoms, loops, strict=True)
+    ]
+    return (
+        [r for r, s in zip(bottoms, small, strict=True) if not s],
+        [r for r, s in zip(bottoms, small, strict=True) if s],
+    )
+
+
+def _within(plane: F64, outers: list[I64], loop: I64) -> bool:
+    """Whether a loop of points (n, 2) lies within one of others."""
+    return any(inside_loop(plane[o], plane[loop[0]]) for o in outers)
 
 
 def plane_normal(ground: Plane) -> F64:

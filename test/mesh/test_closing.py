@@ -2,6 +2,7 @@
 with what to do.
 """
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -225,6 +226,18 @@ def test_a_ragged_hole_in_a_wall_is_a_gap():
     body, made = close(skin, 0.6, design_surface([-0.1]))
     assert sorted(c.name for c in made) == ["gap", "ground"]
     assert volume(body).volume_m3 == pytest.approx(4.4, rel=0.05)
+
+
+def test_a_scrap_of_folded_surface_beside_a_body_is_a_gap():
+    tiny = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.03, 0.03, 0.04]])
+    scrap = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    v = np.concatenate([CUBE_V, np.add(tiny, (1.6, 0.5, 0.0))])
+    skin = linear_mesh(v, np.concatenate([CUBE_T[2:], 8 + scrap]))
+    turned = dataclasses.replace(skin, triangles=skin.triangles.copy())
+    turned.triangles[-3:] = turned.triangles[-3:][:, [0, 2, 1]]
+    body, made = close(turned, 0.3, LEVEL)
+    assert sorted(c.name for c in made) == ["gap", "ground"]
+    assert volume(body).volume_m3 == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_pit_is_refused():
