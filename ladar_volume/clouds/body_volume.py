@@ -121,20 +121,14 @@ def body_of(
     start = linear_mesh(vertices, triangles, normals, curved)
     blunt, skin, closures, added = _close_skin(start, close_m, ground, sharp_rad)
     closed = closed_volume(skin.vertices, skin.triangles, pole_map, allow_crossings)
-    cut_off = (
-        closed_volume(blunt.vertices, blunt.triangles, pole_map, True).volume_m3
-        if added
-        else closed.volume_m3
-    )
+    cut_off = _volume_within(blunt, pole_map) if added else closed.volume_m3
     # a cavity is turned round: what its surface bulges is lost to the body
     side = np.where(closed.flipped, -1.0, 1.0)
     curvature = float(bulge_volumes(skin, SHARP_RAD if sharp_rad is None else sharp_rad) @ side)
     by_measured = np.asarray(closed.gradient.ravel() @ skin.by_measured).reshape(-1, 3)
+    volumes = closed.volume_m3 + curvature, cut_off, closed.volume_m3 - cut_off, curvature
     return Body(
-        closed.volume_m3 + curvature,
-        cut_off,
-        closed.volume_m3 - cut_off,
-        curvature,
+        *volumes,
         sum(c.closed_m3 for c in closures),
         solid_centroid(skin.vertices, closed),
         skin,
@@ -144,6 +138,11 @@ def body_of(
         by_measured,
         closed.gradient.ravel() @ skin.by_ground,
     )
+
+
+def _volume_within(skin: LinearMesh, pole_map: F64 | None) -> float:
+    """Volume, m³, of a closed skin whose triangles may cross."""
+    return closed_volume(skin.vertices, skin.triangles, pole_map, True).volume_m3
 
 
 class ClosedSkins(NamedTuple):
