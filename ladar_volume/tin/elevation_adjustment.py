@@ -13,7 +13,9 @@ never changed.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -31,6 +33,8 @@ from ladar_volume.tin.locate import barycentric, locate, triangle_index
 #: Above this number of vertices the factors of a direct solve outgrow the matrix; conjugate
 #: gradients then reach the same digits.
 MAX_DIRECT = 20_000
+#: Relative tolerance of these; before SciPy 1.12 (Ubuntu 24.04 has 1.11) it had another name.
+TOLERANCE: dict[str, Any] = {"rtol" if "rtol" in inspect.signature(cg).parameters else "tol": 1e-14}
 #: Relative weight that holds a height to its old value where the points leave it undetermined.
 RIDGE = 1e-12
 
@@ -193,7 +197,7 @@ class Normal:
         if self.factor is not None:
             x = self.factor.solve(b)
         elif self.matrix is not None:
-            x, info = cg(self.matrix, b, rtol=1e-14, atol=0.0, maxiter=5000)
+            x, info = cg(self.matrix, b, atol=0.0, maxiter=5000, **TOLERANCE)
             if info != 0:
                 raise SurfaceError(
                     "the adjustment did not converge", reason="surface_adjustment", value=info

@@ -187,7 +187,7 @@ def test_the_difference_surface_is_the_difference(swap):
     assert d.tin.vertices[:, 2] == pytest.approx(sign * (own - Q @ other), abs=1e-12)
     rng = np.random.default_rng(21)
     A, B = (
-        sparse.diags_array(rng.uniform(0.5, 2, 200)).tocsr() * 0.01,
+        sparse.csr_array(sparse.diags(rng.uniform(0.5, 2, 200))) * 0.01,
         sparse.csr_array(np.diag(np.full(150, 0.04)) + 0.001),
     )
     joint, pattern = d.covariance(A, coarse, B), d.covariance(A, coarse, B).toarray() != 0

@@ -15,7 +15,7 @@ TRIANGLE = np.array([(0.0, 0.0, 1.0), (6.0, 0.0, 4.0), (0.0, 3.0, -2.0)])
 
 
 def test_variance_at_centroid_edge_and_vertex():
-    tin, C = build_tin(TRIANGLE), sparse.csr_array(0.04 * sparse.eye_array(3))
+    tin, C = build_tin(TRIANGLE), sparse.csr_array(0.04 * np.eye(3))
     found = interpolate_heights(tin, np.array([(2.0, 1.0), (3.0, 0.0), (0.0, 3.0), (9.0, 9.0)]), C)
     assert found.height_m[:3] == pytest.approx([1.0, 2.5, -2.0])
     assert found.sigma_m[:3] ** 2 == pytest.approx([0.04 / 3, 0.04 / 2, 0.04])
@@ -29,7 +29,7 @@ def test_the_published_factor_is_the_mean_over_a_triangle():
     flip = a + b > 1.0
     a, b = np.where(flip, 1.0 - a, a), np.where(flip, 1.0 - b, b)
     xy = np.c_[6.0 * a, 3.0 * b]
-    C = sparse.csr_array(sparse.eye_array(3))
+    C = sparse.csr_array(np.eye(3))
     found = interpolate_heights(build_tin(TRIANGLE), xy, C)
     assert np.nanmean(found.sigma_m**2) == pytest.approx(0.5, abs=0.005)
 

@@ -216,9 +216,9 @@ def test_scale_and_sparse_covariances():
     variance = rng.uniform(0.01, 0.05, 400) ** 2
     a, b = (
         near_base(tin, LEVEL, variance),
-        near_base(tin, LEVEL, sparse.diags_array(variance).tocsr()),
+        near_base(tin, LEVEL, sparse.csr_array(sparse.diags(variance))),
     )
-    near, diagonal = tin.triangles[a.near], sparse.diags_array(variance)
+    near, diagonal = tin.triangles[a.near], sparse.csr_array(sparse.diags(variance))
     alone = fold(
         tin, tin.vertices[:, 2], variance, near, node_covariances(diagonal, near), 4, variance
     )
@@ -246,7 +246,7 @@ def test_all_levels_at_once_are_the_levels_one_by_one():
         tin, vertices=tin.vertices + np.c_[np.zeros((400, 2)), 0.03 * rng.normal(size=400)]
     )
     C, levels = (
-        sparse.diags_array(rng.uniform(0.5, 2, 400) * 0.03**2).tocsr(),
+        sparse.csr_array(sparse.diags(rng.uniform(0.5, 2, 400) * 0.03**2)),
         np.array([0.2, -5.0, 0.1, 0.1, 0.35, 9.0]),
     )
     slope = Plane(np.zeros(2), np.array([0.0, 0.01, 0.0]), np.zeros((3, 3)), np.zeros(0, np.int64))
@@ -309,7 +309,7 @@ def test_planes_are_kept_and_steps_are_not_crossed():
         step, abs=1e-9
     )
     none = smoother(tin, h, variance, np.zeros(400, bool), 4)
-    assert (none - sparse.eye_array(400)).nnz == 0
+    assert (none - sparse.csr_array(np.eye(400))).nnz == 0
 
 
 @pytest.mark.parametrize("variance", [np.ones(3), np.full(400, -1.0), np.full(400, np.nan)])
