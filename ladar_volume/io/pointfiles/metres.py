@@ -146,6 +146,13 @@ def to_metres(
             r[:, :2] *= across.metres
         if crs is not None and factor != (1.0, 1.0):
             crs = metric(crs)
+    refuse_far(r)
+    scale, ground = (None, None) if crs is None else stretch(r, crs)
+    return r, MapCoordinates(crs, declared, across, up, factor, scale, ground), doubts
+
+
+def refuse_far(r: F64) -> None:
+    """Refuse coordinates (n, 3) that no survey has. Raises :class:`CloudError`."""
     far = float(np.abs(r).max())
     if not far <= FARTHEST_M:
         raise CloudError(
@@ -153,8 +160,6 @@ def to_metres(
             reason="cloud_values",
             value=far,
         )
-    scale, ground = (None, None) if crs is None else stretch(r, crs)
-    return r, MapCoordinates(crs, declared, across, up, factor, scale, ground), doubts
 
 
 def refuse_degrees(r: F64, declared: Coordinates) -> None:
