@@ -270,7 +270,7 @@ def test_the_verb_writes_every_table_and_figure(small):
     text = (folder / "tables.md").read_text()
     assert all(f"## {title}\n" in text for title in TABLES) and "nan" not in text
     facts = json.loads((folder / "study.json").read_text())
-    assert facts["seeds"] == 2 and len(facts["figures"]) == 6
+    assert facts["seeds"] == 2 and len(facts["figures"]) == 7
     for name in facts["figures"]:
         assert (folder / name).read_bytes()[:4] == b"\x89PNG"
     assert text == tables(study)
