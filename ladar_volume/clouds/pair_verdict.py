@@ -97,10 +97,15 @@ def cell_means(tin: Tin, cells: int = CELLS) -> CellMeans:
 
 
 def unchanged_part(tin: Tin) -> UnchangedPart | None:
-    """The part of a difference surface that did not change: about the shortest interval that holds
-    a quarter of its cells. None for too few of them.
+    """The part of a difference surface that did not change; None for too few cells."""
+    return unchanged_cells(cell_means(tin))
+
+
+def unchanged_cells(cells: CellMeans) -> UnchangedPart | None:
+    """The part of cells that did not change: about the shortest interval that holds a quarter of
+    them. None for too few.
     """
-    mean, area = cell_means(tin)[:2]
+    mean, area = cells.mean, cells.area
     if len(mean) < FEWEST:
         return None
     order = np.sort(mean)

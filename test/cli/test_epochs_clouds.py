@@ -117,6 +117,14 @@ def test_stable_ground_and_polygon_are_taken(tmp_path, epochs):
     assert facts["area_m2"] == pytest.approx(144.0, rel=0.05)
     change = truth(2.0) - truth(2.5)
     assert abs(facts["volume_m3"] - change) < 3.0 * facts["sigma_m3"] < 2.0
+    # on ground that is named no other is asked, however much of it changed
+    moved = cloud(tmp_path / "m.xyz", 2.9, 12, (0.001, 0.0, 0.002), (0.05, 0.04, 0.1))
+    facts = epochs(a, moved, "--stable", *corners(-15, -15, -3, 15), "--register", "icp")
+    change = truth(2.9) - truth(2.5)
+    assert facts["registration"]["pairs"] < 4000
+    assert abs(facts["volume_m3"] - change) < 3.0 * facts["sigma_m3"] < 5.0
+    assert "no such file" in epochs(a, tmp_path / "none.laz", code=2)
+    assert "replay" not in epochs(a, tmp_path / "none.laz", code=2)
     assert "too little of the stable ground" in epochs(
         a, b, "--stable", *corners(0, 0, 1, 1), code=2
     )

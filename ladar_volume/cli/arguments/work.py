@@ -62,7 +62,8 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
     files = [path for path in clouds if of_known_kind(path)]
     for path in (*files, *(given.get(name) for name in FILES.get(verb, ()))):
         if path is not None and not path.exists():
-            hint = "; replay writes it" if verb in ("epochs", "export") else ""
+            of_results = verb in ("epochs", "export") and not of_known_kind(path)
+            hint = "; replay writes it" if of_results else ""
             yield InputError(f"{path}: no such file{hint}", reason="input_missing", value=str(path))
     for path in clouds:
         if path not in files:

@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from ladar_volume.cli.epochs.outputs import plan_of, write_change, write_picture
+from ladar_volume.cli.epochs.outputs import plan_of, write_comparison
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (
@@ -26,7 +26,6 @@ from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.epochs.cloud_change import CloudChange, cloud_change
 from ladar_volume.clouds.epochs.cloud_registration import Registration, by_height, by_icp
 from ladar_volume.clouds.pair_verdict import named_part, pair_ground
-from ladar_volume.io import results
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import VolumeParameters
@@ -60,10 +59,7 @@ def compare_clouds(arguments: argparse.Namespace, folder: Path, console: Console
         "frame": frame_words(registration),
         "version": version(),
     }
-    results.write_text(folder / "epochs.json", results.json_text(facts))
-    write_change(folder, found.change)
-    if not arguments.no_figure:
-        write_picture(arguments, facts, found.change, folder)
+    write_comparison(arguments, facts, found.change, folder)
     return facts
 
 
@@ -110,7 +106,7 @@ def found_by(
     if arguments.register is None:
         return None
     if arguments.register == "icp":
-        return by_icp(new, previous, arguments.reach)
+        return by_icp(new, previous, arguments.reach, stable)
     ground = pair_ground([new, previous])
     if ground is None:
         raise ConfigurationError(

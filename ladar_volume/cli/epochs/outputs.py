@@ -11,6 +11,7 @@ import numpy as np
 
 from ladar_volume.change.change_detection import ChangeMap
 from ladar_volume.cli.diff_input import given_corners
+from ladar_volume.io import results
 from ladar_volume.io.meshfiles.tin_files import write_columns
 from ladar_volume.model.records import F64
 
@@ -33,6 +34,16 @@ def write_change(folder: Path, change: ChangeMap) -> None:
     )
     values = {name: np.asarray(getattr(change, name), np.float32) for name in columns}
     write_columns(folder / "change.ply", change.tin, values)
+
+
+def write_comparison(
+    arguments: argparse.Namespace, facts: Mapping[str, Any], change: ChangeMap, folder: Path
+) -> None:
+    """Write epochs.json, change.ply and, where wanted, change.png."""
+    results.write_text(folder / "epochs.json", results.json_text(facts))
+    write_change(folder, change)
+    if not arguments.no_figure:
+        write_picture(arguments, facts, change, folder)
 
 
 def write_picture(

@@ -31,7 +31,7 @@ def show_clouds(console: Console, facts: Mapping[str, Any]) -> None:
     head = Table(show_header=False, box=None, pad_edge=False)
     _add_change_rows(head, facts)
     _add_detection_rows(head, facts["level_of_detection"])
-    _add_ground_rows(head, facts["stable_ground"], "told to")
+    _add_ground_rows(head, facts["stable_ground"], "known to")
     lines = sorted(facts["budget_m6"].items(), key=lambda item: -item[1])
     words = ", ".join(f"{n.replace('_', ' ')} {math.sqrt(v):.3g}" for n, v in lines if v > 0.0)
     head.add_row("sigma by source", f"{words} m³")

@@ -27,7 +27,7 @@ from ladar_volume.change.stable_ground import (
     with_stable_ground,
 )
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.epochs.outputs import plan_of, write_change, write_picture
+from ladar_volume.cli.epochs.outputs import plan_of, write_comparison
 from ladar_volume.cli.replay import run_here
 from ladar_volume.io import results
 from ladar_volume.io.bags import wanted_topics
@@ -80,10 +80,7 @@ def compare_surveys(
         "frame": frame_words(later, arguments.transform),
         "version": version(),
     }
-    results.write_text(folder / "epochs.json", results.json_text(facts))
-    write_change(folder, found.change)
-    if not arguments.no_figure:
-        write_picture(arguments, facts, found.change, folder)
+    write_comparison(arguments, facts, found.change, folder)
     return facts
 
 

@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.change.epoch_change import within_outline
 from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.pair_verdict import CHANCE, UnchangedPart, cell_means, unchanged_part
+from ladar_volume.clouds.pair_verdict import CHANCE, UnchangedPart, cell_means, unchanged_cells
 from ladar_volume.model.errors import RegistrationError, VolumeError
 from ladar_volume.model.records import F64, I32, I64, Tin
 from ladar_volume.model.verdict import Doubt
@@ -111,10 +112,10 @@ def alike(new: Tin, previous: Tin, points: F64, T: Transform) -> F64:
         tin = difference(upper, previous).common()
     except VolumeError:  # not yet on each other
         return points
-    found = unchanged_part(tin)
+    cells = cell_means(tin)
+    found = unchanged_cells(cells)
     if found is None:
         return points
-    cells = cell_means(tin)
     same = np.abs(cells.mean - found.offset_m) <= CHANCE * found.scatter_m
     at = np.floor((T.apply(points)[:, :2] - cells.low) / cells.side).astype(np.int64)
     names = cells.cell[same] @ [1 << 32, 1]
@@ -122,23 +123,29 @@ def alike(new: Tin, previous: Tin, points: F64, T: Transform) -> F64:
     return out if len(out) >= LEAST_SAME * len(points) else points
 
 
-def by_icp(new: CloudSurface, previous: CloudSurface, reach_m: float | None) -> Registration:
-    """The later surface turned and shifted onto the earlier one. Raises
-    :class:`RegistrationError` where the ground leaves a motion undetermined.
+def by_icp(
+    new: CloudSurface, previous: CloudSurface, reach_m: float | None, stable: F64 | None = None
+) -> Registration:
+    """The later surface turned and shifted onto the earlier one; stable : (c, 2) m, corners of
+    ground that did not change, None to look for it. Raises :class:`RegistrationError` where the
+    ground leaves a motion undetermined.
     """
     one, two = new.representation.tin, previous.representation.tin
     reach = REACH * max(spacing_of(new), spacing_of(previous)) if reach_m is None else reach_m
-    source = one.vertices[used_rows(one.triangles[one.relevant], ASKED)]
+    asked = within_outline(one, stable)
+    source = one.vertices[used_rows(one.triangles[asked.relevant], ASKED)]
     target = used_rows(two.triangles[two.relevant], HELD)
     middle = np.floor(two.vertices[target].mean(axis=0))  # far coordinates cost digits
-    cell = float(np.ptp(source[:, :2], axis=0).max()) / CELLS
+    cell = float(np.ptp(source[:, :2], axis=0).max(initial=0.0)) / CELLS
     held = two.vertices[target] - middle
     normals = plane_normals(held)
     start: Transform | None = None
     try:
-        for _ in range(PASSES):
-            some = alike(one, two, source, at_origin(start, middle)) - middle
-            found = refine(some, held, normals.unit, start, reach_m=reach, cell_m=cell)
+        for _ in range(PASSES if stable is None else 1):
+            some = source
+            if stable is None:
+                some = alike(one, two, source, at_origin(start, middle))
+            found = refine(some - middle, held, normals.unit, start, reach_m=reach, cell_m=cell)
             start = found.transform
         check_shape(normals, found.pairs[:, 1], float(np.sqrt(previous.vertex_variance.mean())))
     except RegistrationError as error:
