@@ -142,6 +142,16 @@ def test_level_ground_is_lifted_and_not_turned(tmp_path, epochs):
     assert abs(facts["volume_m3"] - 0.5 * math.pi * 9.0) < 3.0 * facts["sigma_m3"]
 
 
+def test_clouds_with_heights_in_unlike_units_are_doubtful(tmp_path, epochs):
+    rng = np.random.default_rng(15)
+    for name, size in (("m", 1.0), ("mm", 1000.0)):
+        xy = rng.uniform(0.0, 20.0, (4000, 2))
+        z = 50.0 + 0.1 * xy[:, 0] + rng.normal(0.0, 0.01, 4000)
+        np.savetxt(tmp_path / f"{name}.xyz", np.c_[xy, size * z])
+    facts = epochs(tmp_path / "m.xyz", tmp_path / "mm.xyz", "--no-figure")
+    assert "apart" in names(facts)
+
+
 def test_what_does_not_go_together_is_refused(tmp_path, epochs):
     a, b = cloud(tmp_path / "a.xyz", 1.0, 13), cloud(tmp_path / "b.xyz", 1.0, 14)
     (tmp_path / "bag").mkdir()

@@ -38,7 +38,12 @@ from ladar_volume.clouds.pair_verdict import (
     pair_verdict,
 )
 from ladar_volume.clouds.survey.flight_errors import vertex_slopes
-from ladar_volume.clouds.volume_verdict import counted_areas, surface_doubts, with_lines
+from ladar_volume.clouds.volume_verdict import (
+    apart_doubts,
+    counted_areas,
+    surface_doubts,
+    with_lines,
+)
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Verdict
@@ -195,7 +200,7 @@ def cloud_change(
         j = common_area(apart) @ pair.by_transform()
         volume = with_lines(volume, {"transform": float(j @ moved.C @ j)})
     stands = stable_share(pair, area(previous.representation.tin), stable is not None)
-    verdict += more + Verdict(tuple(coverage_doubts(stands)))
+    verdict += more + Verdict((*coverage_doubts(stands), *apart_doubts(volume)))
     change = change_map_of(pair, coverage_factor)
     kept = threshold_volumes(change, coverage_factor, pair.sigma_of)
     return CloudChange(volume, verdict, change, kept, stands)
