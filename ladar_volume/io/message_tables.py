@@ -19,6 +19,7 @@ from ladar_volume.ground.polynomial import degree_of, tilt_of
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.ragged_ranges import patch_range
 from ladar_volume.model.records import (
+    CAL_COLUMNS,
     F32,
     F64,
     I64,
@@ -152,7 +153,8 @@ def patch_columns(update: FilterUpdate) -> Columns:
     """
     a = update.patches
     m, p = a.beta.shape
-    width = max(p * p, (p + 2) * GROUP, 14 + p)
+    known = len(a.nav_residual) > 0
+    width = max(p * p, (p + 2) * GROUP + known, 14 + p)
     head = np.zeros((m, width))
     head[:, 0:3], head[:, 3:6], head[:, 6:9] = a.centre, a.normal, a.tangent
     head[:, 9], head[:, 10], head[:, 11], head[:, 12], head[:, 13 : 13 + p] = (
@@ -162,7 +164,11 @@ def patch_columns(update: FilterUpdate) -> Columns:
         p,
         a.beta,
     )
-    cal = _group_columns(a.M_cal)
+    head[:, 13 + p] = known
+    by_bin = a.M_nav.reshape(len(a.nav_bin), (p + 2) * GROUP)
+    if known:
+        by_bin = np.concatenate([by_bin, a.nav_residual[:, None]], axis=1)
+    cal = _group_columns(_with_residuals(a.M_cal, a.beam_residual) if known else a.M_cal)
     groups = cal.shape[1]
     parts = [
         _rows(HEAD, a.key, a.t_ns, 0, head, width),
@@ -187,7 +193,7 @@ def patch_columns(update: FilterUpdate) -> Columns:
             np.repeat(a.key, np.diff(a.nav_start)),
             a.nav_bin,
             0,
-            a.M_nav.reshape(len(a.nav_bin), (p + 2) * GROUP),
+            by_bin,
             width,
         ),
         _rows(
@@ -203,6 +209,17 @@ def patch_columns(update: FilterUpdate) -> Columns:
         ),
     ]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _with_residuals(M: F32, residual: F32) -> F32:
+    """Sensitivities (m, rows, c) with columns more that hold residuals (m, beams), row by row, the
+    last ones filled with zeros.
+    """
+    m, rows, _ = M.shape
+    more = -(-residual.shape[1] // rows)
+    out = np.zeros((m, rows * more), np.float32)
+    out[:, : residual.shape[1]] = residual
+    return np.concatenate([M, out.reshape(m, rows, more)], axis=2)
 
 
 def _group_columns(M: F32) -> F32:
@@ -298,7 +315,10 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
     p = int(head[0, 12]) if m else 6 if values.shape[1] >= 36 else 3
     columns_cal = int(head[0, 11]) if m else 0
     keys = key[kind == HEAD]
-    nav, groups = kind == NAVIGATION, -(-columns_cal // GROUP)
+    known = bool(m and values.shape[1] > (p + 2) * GROUP and head[0, 13 + p])
+    beams = (columns_cal - len(CAL_COLUMNS)) // 2
+    more = -(-beams // (p + 2)) if known else 0
+    nav, groups = kind == NAVIGATION, -(-(columns_cal + more) // GROUP)
     if (
         np.count_nonzero(kind == CALIBRATION) != m * groups
         or columns["index"][nav].any()
@@ -308,6 +328,14 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
             "patch table of another format: written by another version", reason="cloud_format"
         )
     bins = other[nav]
+    cal = _ungroup_columns(values[kind == CALIBRATION], m, p + 2, columns_cal + more)
+    residuals = {}
+    if known:
+        by_beam = cal[:, :, columns_cal:].reshape(m, (p + 2) * more)[:, :beams]
+        residuals = {
+            "nav_residual": values[nav][:, (p + 2) * GROUP].copy(),
+            "beam_residual": np.ascontiguousarray(by_beam),
+        }
     patches = Patches(
         keys,
         head[:, 0:3].copy(),
@@ -320,10 +348,11 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
         _starts(keys, key[kind == CROSS]),
         other[kind == CROSS],
         values[kind == CROSS][:, : p * p].reshape(-1, p, p).copy(),
-        _ungroup_columns(values[kind == CALIBRATION], m, p + 2, columns_cal),
+        np.ascontiguousarray(cal[:, :, :columns_cal]),
         _starts(keys, key[nav]),
         bins,
         values[nav][:, : (p + 2) * GROUP].reshape(-1, p + 2, GROUP).copy(),
+        **residuals,
     )
     return FilterUpdate(
         int(other[-1]), key[kind == REMOVED], points, patches, bool(columns["index"][-1])

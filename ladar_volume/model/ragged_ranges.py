@@ -8,7 +8,7 @@ from typing import Any
 from ladar_volume.model.records import PatchTable
 
 #: What is ragged, by its CSR starts.
-RAGGED = {"cross_start": ("cross_key", "cross"), "nav_start": ("nav_bin", "M_nav")}
+RAGGED = {"cross_start": ("cross_key", "cross"), "nav_start": ("nav_bin", "M_nav", "nav_residual")}
 
 
 def patch_range(patches: PatchTable, first: int, last: int) -> dict[str, Any]:

@@ -204,6 +204,11 @@ class FilteredPoints:
         return len(self.patch)
 
 
+def no_residuals() -> F32:
+    """Residuals that are not known."""
+    return np.zeros(0, np.float32)
+
+
 @dataclass(frozen=True)
 class PatchTable:
     """Local least-squares surfaces, one per voxel, sorted by key; ragged parts in CSR form. What
@@ -220,7 +225,9 @@ class PatchTable:
     which moves with the returns · nav_start : (m + 1,), nav_bin : (l,) int64 ``floor(t /
     nav_bin)``, M_nav : (l, p + 2, 4) the same per navigation time bin, or for some bins that stand
     for all: by the platform's position along the normal (of beta), the tangent and the binormal,
-    across which it does nothing, then by its attitude
+    across which it does nothing, then by its attitude · nav_residual : (l,) m, mean residuals of
+    the inliers of each bin, and beam_residual : (m, beams) m, of those of each beam less what their
+    bins are off; NaN, or both of no length, where they are not known
     """
 
     key: I64
@@ -238,6 +245,8 @@ class PatchTable:
     nav_start: I64
     nav_bin: I64
     M_nav: F32 | I16
+    nav_residual: F32 = field(default_factory=no_residuals, kw_only=True)
+    beam_residual: F32 = field(default_factory=no_residuals, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.key)
@@ -356,9 +365,11 @@ class StandingObject:
 class SourceAgreement:
     """What one group of sources has to do with the scatter of the passes. name : of the group ·
     predicted_m : its part of the median patch's residual by the budget · factor : by which its
-    variance would have to be larger, were it alone to blame · freedom : its independent errors that
-    passes tell apart · p_value : of a factor as large, were its budget true · visible : whether its
-    part is large enough to be judged at all
+    variance would have to be larger, were it alone to blame, and sigma of that factor, NaN where
+    only the size of the residuals is known · freedom : its independent errors that passes tell
+    apart · p_value : of a factor as large, were its budget true · visible : whether its part is
+    large enough to be judged at all · scale : by which its variances are made larger, 1 where they
+    are not refuted
     """
 
     name: str
@@ -367,6 +378,8 @@ class SourceAgreement:
     freedom: float
     p_value: float
     visible: bool
+    sigma: float = math.nan
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)

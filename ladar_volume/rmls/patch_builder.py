@@ -8,7 +8,7 @@ import numpy as np
 
 from ladar_volume.georeference.lidar_equation import Mounting
 from ladar_volume.model.parameters import SurfaceFilterParameters
-from ladar_volume.model.records import F32, I64, FilteredPoints, Patches, select
+from ladar_volume.model.records import I64, FilteredPoints, Patches, select
 from ladar_volume.rmls import cross_covariance, patch_sensitivity, projection, refit_kernels
 from ladar_volume.rmls.fit_store import Fits, FitStore, blank_fits
 from ladar_volume.rmls.patch_fit import OK
@@ -62,7 +62,7 @@ class PatchBuilder:
             cross_covariance.chunks_of(len(rows)),
         )
         cross_covariance.cross_blocks(pairs, s.arrays, fits, slots, p, chunks, blocks)
-        nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
+        found = self._sensitivities(fits, rows, p)
         return Patches(
             s.keys[rows],
             fits.centre[rows],
@@ -75,10 +75,12 @@ class PatchBuilder:
             offset,
             s.keys[others],
             blocks,
-            M_cal,
-            nav_start,
-            nav_bin,
-            M_nav,
+            found.M_cal,
+            found.nav_start,
+            found.nav_bin,
+            found.M_nav,
+            nav_residual=found.nav_residual,
+            beam_residual=found.beam_residual,
         )
 
     def _pairs(self, kept: FitStore, rows: I64, once: bool) -> tuple[I64, I64]:
@@ -115,23 +117,27 @@ class PatchBuilder:
         )
         return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
 
-    def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
+    def _sensitivities(self, fits: Fits, rows: I64, p: int) -> patch_sensitivity.SensitivityArrays:
         s, bin_ns = self.store, int(self.parameters.nav_bin_s * 1e9)
         bins = np.zeros(len(rows), np.int64)
         patch_sensitivity.count_bins(rows, fits, s.t_ns, bin_ns, self.most_bins, bins)
         nav_start = np.concatenate([[0], np.cumsum(bins)])
-        nav_bin = np.zeros(nav_start[-1], np.int64)
-        M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
-        M_nav = np.zeros((nav_start[-1], p + 2, 4), np.float32)
         mount = patch_sensitivity.MountArrays(
             self.mount.lever_laser - self.mount.lever_antenna,
             np.ascontiguousarray(self.mount.R_body_laser[:, 2]),
             self.beams,
             bin_ns,
         )
-        out = patch_sensitivity.SensitivityArrays(nav_start, nav_bin, M_cal, M_nav)
+        out = patch_sensitivity.SensitivityArrays(
+            nav_start,
+            np.zeros(nav_start[-1], np.int64),
+            np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32),
+            np.zeros((nav_start[-1], p + 2, 4), np.float32),
+            np.zeros(nav_start[-1], np.float32),
+            np.zeros((len(rows), self.beams), np.float32),
+        )
         patch_sensitivity.sensitivities(rows, s.arrays, fits, p, mount, out)
-        return nav_start, nav_bin, M_cal, M_nav
+        return out
 
     def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:
         """The filtered points of patches ``rows``."""

@@ -17,7 +17,7 @@ import numpy as np
 from ladar_volume.math.array_types import F32, F64, I32, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
 from ladar_volume.rmls.fit_store import Fits
-from ladar_volume.rmls.tangent_frame import polynomial_row, second_tangent
+from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
 from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
 from ladar_volume.rmls.voxel_store import BITS, VoxelArrays
 
@@ -35,13 +35,16 @@ class MountArrays(NamedTuple):
 
 class SensitivityArrays(NamedTuple):
     """Of m patches with l time bins in all: nav_start (m + 1,), nav_bin (l,), and the mean
-    sensitivities M_cal (m, p + 2, 11 + 2 beams), M_nav (l, p + 2, 4).
+    sensitivities M_cal (m, p + 2, 11 + 2 beams), M_nav (l, p + 2, 4); mean residuals nav_residual
+    (l,) and beam_residual (m, beams), see :func:`mean_residuals`.
     """
 
     nav_start: I64
     nav_bin: I64
     M_cal: F32
     M_nav: F32
+    nav_residual: F32
+    beam_residual: F32
 
 
 #: Navigation time bins of a patch, at most: those of forty seconds. A patch that is seen for an
@@ -284,6 +287,50 @@ def _sum_returns(
                 add_return(h, 1.0, beam, mount.beams, cal[p + k - 1], nav[run, p + k - 1])
 
 
+@leaf_kernel
+def residual(r: F64, slot: int, frame: F64, p: int, x: F64, beta: F64) -> Any:
+    """How far a return lies above the patch's surface along its normal, m. frame : (4, 3) centre,
+    normal and tangents · x : (6,) its row.
+    """
+    w = 0.0
+    for k in range(3):
+        w += (r[slot, k] - frame[0, k]) * frame[1, k]
+    for l in range(p):
+        w -= x[l] * beta[l]
+    if p == 6:
+        w -= arc_height(x[1], x[2], beta[3], beta[4], beta[5])[0]
+    return w
+
+
+@kernel
+def mean_residuals(
+    a: int, mine: I32, store: VoxelArrays, fits: Fits, p: int, run: I64, by_run: F32, by_beam: F32
+) -> None:
+    """Mean residuals of the inliers of patch a: of each run, to by_run (runs,), and of each beam
+    less what the runs of its returns are off, to by_beam (beams,): what differs between the beams
+    of one time, whatever differs between times. Zero for a beam without a return.
+    """
+    x, frame, above = np.zeros(6), np.empty((4, 3)), np.empty(len(mine))
+    sums, counts = np.zeros(len(by_run)), np.zeros(len(by_run))
+    of_beam, seen = np.zeros(len(by_beam)), np.zeros(len(by_beam))
+    frame[0], frame[1], frame[2] = fits.centre[a], fits.normal[a], fits.tangent[a]
+    second_tangent(frame[1], frame[2], frame[3])
+    for i in range(len(mine)):
+        polynomial_row(store.r, mine[i], frame[0], frame[2], frame[3], p, x)
+        above[i] = residual(store.r, mine[i], frame, p, x, fits.beta[a])
+        sums[run[i]] += above[i]
+        counts[run[i]] += 1.0
+    for g in range(len(by_run)):
+        sums[g] /= max(counts[g], 1.0)
+        by_run[g] = sums[g]
+    for i in range(len(mine)):
+        beam = min(int(store.ring[mine[i]]), len(by_beam) - 1)
+        of_beam[beam] += above[i] - sums[run[i]]
+        seen[beam] += 1.0
+    for k in range(len(by_beam)):
+        by_beam[k] = of_beam[k] / max(seen[k], 1.0)
+
+
 @kernel
 def _sensitivities_of(
     i_row: int,
@@ -301,6 +348,16 @@ def _sensitivities_of(
     for g in range(number):
         time = store.t_ns[mine[runs.representatives[g]]]
         out.nav_bin[first + g] = np.int64(np.floor_divide(time, mount.bin_ns))
+    mean_residuals(
+        a,
+        mine,
+        store,
+        fits,
+        p,
+        runs.run,
+        out.nav_residual[first : first + number],
+        out.beam_residual[i_row],
+    )
     cal, nav = np.zeros((p + 2, 11 + 2 * mount.beams)), np.zeros((number, p + 2, 4))
     _sum_returns(a, mine, store, fits, p, mount, runs, (cal, nav))
     for c in range(3):

@@ -272,6 +272,11 @@ def prepare_patches(patches: Patches) -> HeldPatches:
     factors of all patches are known.
     """
     rows = {f.name: getattr(patches, f.name) for f in dataclasses.fields(Patches)}
+    if not len(patches.nav_residual):
+        rows["nav_residual"] = np.full(len(patches.nav_bin), np.nan, np.float32)
+        rows["beam_residual"] = np.full(
+            (len(patches), max(0, beam_count(patches))), np.nan, np.float32
+        )
     rows["M_nav"], rows["nav_unit"] = row_kernel(patches.nav_start, patches.M_nav)
     rows["M_cal"] = np.ascontiguousarray(patches.M_cal[..., :SHARED])
     rows["M_beam"], rows["beam_unit"] = beam_kernel(

@@ -10,6 +10,7 @@ passes alike, such as a shift of the datum or a vertical lever arm, no such test
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -21,6 +22,16 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, I64, Agreement, Bool, PatchTable, SourceAgreement
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.pass_differences import (
+    pass_differences,
+    scatter_within_bins,
+    times_root,
+)
+from ladar_volume.uncertainty.variance_components import (
+    UNLIKELY,
+    Component,
+    variance_components,
+)
 
 #: Patches that are asked at most; fewest that answer; fewest returns of one, and least upward
 #: component of its normal: what a wall scatters is where it is met.
@@ -41,6 +52,7 @@ GROUPS = {
     "lever_arms": ("lever_laser", "lever_antenna"),
     "attitude": ("attitude",),
     "position": ("position",),
+    "clock": (),
 }
 #: A group is judged whose part of the predicted mean square is no less than this.
 VISIBLE = 0.02
@@ -126,12 +138,6 @@ def scatter_by_source(
     }
 
 
-def times_root(C: F64, v: F64) -> F64:
-    """``Lᵀ v`` (l, 3) with ``L Lᵀ`` = C (l, 3, 3), of vectors v (l, 3)."""
-    L = np.linalg.cholesky(C + 1e-18 * np.eye(3))
-    return np.ascontiguousarray(np.einsum("lij,li->lj", L, v))
-
-
 def degrees_of_freedom(source: str, span_s: float, b: BudgetParameters) -> float:
     """Independent errors of a source that passes tell apart, about: two for each of 16 beams, two
     directions of a constant, and of what wanders two times two and a half, as for the square of a
@@ -159,6 +165,14 @@ class Scatter(NamedTuple):
         source = {name: part[some] for name, part in self.source.items()}
         return Scatter(self.rows[some], self.square[some], source)
 
+    def within_bins(self, patches: PatchTable) -> Scatter | None:
+        """Of the returns about the mean of their time bins, of which noise and beams alone say
+        anything; None where that is not known.
+        """
+        square = scatter_within_bins(patches, self.rows)
+        source = {name: self.source[name] for name in ("noise", "beams")}
+        return None if square is None else Scatter(self.rows, square, source)
+
     @property
     def unexplained_m2(self) -> F64:
         """What the budget does not explain, (k,) m²; below zero where it says too much."""
@@ -177,10 +191,14 @@ def patch_scatter(patches: PatchTable, nav: NavigationBins, b: BudgetParameters)
 
 
 def pass_agreement(
-    found: Scatter, patches: PatchTable, nav: NavigationBins, b: BudgetParameters
+    found: Scatter,
+    patches: PatchTable,
+    nav: NavigationBins,
+    b: BudgetParameters,
+    max_fix_gap_s: float,
 ) -> Agreement | None:
-    """How the residuals of the median patch compare with the budget; None where nothing is
-    shared.
+    """How the residuals of the median patch, and what passes and beams differ by, compare with the
+    budget; None where nothing is shared. max_fix_gap_s : longest interval between fixes.
     """
     part = {name: float(np.median(of)) for name, of in found.source.items()}
     square, noise = float(np.median(found.square)), part.pop("noise")
@@ -194,8 +212,19 @@ def pass_agreement(
     n = shared**2 / sum(v**2 / degrees_of_freedom(name, span_s, b) for name, v in part.items())
     p = float(chdtrc(n, factor * n))
     predicted = math.sqrt(noise + shared)
-    refuted = p < REFUTED and factor > LEAST
-    sources = source_agreement(part, left, span_s, b)
+    components: dict[str, Component] = {}
+    for told in pass_differences(patches, nav, b, max_fix_gap_s):
+        components |= variance_components(told)
+    sources = tuple(
+        with_component(s, components.get(s.name)) for s in source_agreement(part, left, span_s, b)
+    )
+    refuted = any(s.scale > 1.0 for s in sources)
+    if "position" not in components:  # the size of the residuals is all that is known
+        refuted |= p < REFUTED and factor > LEAST
+    within = found.within_bins(patches)
+    if within is not None:
+        own = float(np.median(within.square - within.source["beams"]))
+        sources = (*sources, noise_agreement(own, noise, len(within.rows)))
     steep = beside_steep_faces(patches.centre, patches.normal)[found.rows]
     shift, toward = sideways_shift(found.of(~steep), patches.normal)
     return Agreement(
@@ -214,10 +243,41 @@ def source_agreement(
         own = max(sum(part[member] for member in members), 0.0)  # rounding may leave less
         visible = own > 0.0 and own >= VISIBLE * total
         factor = max(0.0, left - (total - own)) / own if visible else float("nan")
-        n = degrees_of_freedom(members[0], span_s, b)
+        n = degrees_of_freedom(name, span_s, b)
         p = float(chdtrc(n, factor * n)) if visible else float("nan")
         out.append(SourceAgreement(name, math.sqrt(own), factor, n, p, visible))
     return tuple(out)
+
+
+def noise_agreement(within_m2: float, noise_m2: float, patches: int) -> SourceAgreement:
+    """The returns' noise held against what the median patch scatters within its bins, m², beside
+    the beams' part. Roughness of a surface looks the same, and does the same to a volume; 1 cm of
+    it is no trouble. patches : how many were asked
+    """
+    factor = max(0.0, within_m2 - GRAIN_M**2) / max(noise_m2, 1e-12)
+    p = float(chdtrc(patches, factor * patches))
+    scale = min(factor, MOST) if p < UNLIKELY and factor > LEAST else 1.0
+    sigma = max(factor, 1.0) * math.sqrt(2.0 / patches)
+    return SourceAgreement(
+        "noise", math.sqrt(noise_m2), factor, float(patches), p, True, sigma, scale
+    )
+
+
+def with_component(source: SourceAgreement, found: Component | None) -> SourceAgreement:
+    """A group with the variance component that signed differences of the passes give it, where
+    these are known.
+    """
+    if found is None:
+        return source
+    return dataclasses.replace(
+        source,
+        factor=found.factor,
+        freedom=found.freedom,
+        p_value=found.p_value,
+        visible=True,
+        sigma=found.sigma,
+        scale=min(max(1.0, found.factor), MOST) if found.freed else 1.0,
+    )
 
 
 def beside_steep_faces(centre: F64, normal: F64) -> Bool:
@@ -273,5 +333,6 @@ def cover_scatter(found: Scatter, ground: Bool, body: Bool) -> float:
     on, off = on & ~off, off & ~on
     if min(np.count_nonzero(on), np.count_nonzero(off)) < FEWEST // 2:
         return 0.0
-    more = float(np.median(left[on])) - max(0.0, float(np.median(left[off])))
-    return math.sqrt(more) if more > GRASS_M**2 else 0.0
+    bare = max(0.0, float(np.median(left[off])))  # where that is much, something else is wrong
+    more = float(np.median(left[on])) - bare
+    return math.sqrt(more) if more > max(GRASS_M**2, bare) else 0.0

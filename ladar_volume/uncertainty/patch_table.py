@@ -41,7 +41,7 @@ from ladar_volume.uncertainty.patch_merge import (
 #: looks: 7 kB and more of each wait.
 PENDING = 4000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
-HELD = ("factor", "nav_unit", "M_beam", "beam_unit")
+HELD = ("factor", "nav_unit", "M_beam", "beam_unit", "beam_residual")
 
 
 def ragged_index(start: I64, rows: I64) -> I64:
@@ -273,7 +273,7 @@ def merged_patches(parts: Parts, turns: list[int], last: LatestUpdate) -> HeldPa
         np.int64
     )
     entry = ragged_index(bins, rows)
-    for name in ("nav_bin", "M_nav"):
+    for name in ("nav_bin", "M_nav", "nav_residual"):
         made[name] = select_rows(parts.take(name), entry)
     return HeldPatches(**made)
 

@@ -34,8 +34,8 @@ from ladar_volume.volume.base import all_grounds
 from ladar_volume.volume.field_checks.field_verdict import (
     assess_field,
     bridged_footing,
-    budget_scale,
     passes_of,
+    variance_ratio,
 )
 from ladar_volume.volume.field_checks.object_removal import (
     objects_by_body,
@@ -166,6 +166,8 @@ class VolumeEstimator:
             lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
         )
         passes = passes_of(survey, footing, self.parameters)
+        check = self.parameters.volume.budget_check
+        larger = np.sqrt([variance_ratio(v, passes.agreement, check) for v in volumes])
         volumes = tuple(
             assess_field(survey, footing, body, volume, passes, self.parameters, own)
             for body, volume, own in zip(
@@ -175,7 +177,7 @@ class VolumeEstimator:
         volumes = with_choice(volumes, self.parameters.tin, self._usual_volumes)
         self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)
         if joint is not None:  # what two bodies share, and what each has of its own
-            joint *= budget_scale(passes.agreement, self.parameters.volume.budget_check)
+            joint *= larger[:, None] * larger
             np.fill_diagonal(joint, [v.sigma_m3**2 for v in volumes])
         base, grounds = self._grounds(survey, footing, bodies[0])
         return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)

@@ -177,6 +177,24 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
         ).all()  # the position's need none of it
 
 
+def test_residuals_of_bins_and_of_beams_within_them(fitted):
+    f, update, slots, _, degree = fitted
+    p, s = update.patches, f.store
+    for j in range(0, len(p), 3):
+        inliers = slots[int(p.key[j])]
+        X, w = rows(f, update, slots, j, degree)
+        above = w - X @ p.beta[j] - patch_twin.arc(X, p.beta[j])[0]
+        at = s.t_ns[inliers] // 2_000_000_000
+        by_bin = {b: above[at == b].mean() for b in np.unique(at)}
+        nav = slice(p.nav_start[j], p.nav_start[j + 1])
+        assert p.nav_residual[nav] == pytest.approx([by_bin[b] for b in p.nav_bin[nav]], abs=1e-7)
+        left = above - np.array([by_bin[b] for b in at])
+        for beam in range(f.builder.beams):
+            own = left[s.ring[inliers] == beam]
+            mean = own.mean() if len(own) else 0.0
+            assert p.beam_residual[j, beam] == pytest.approx(mean, abs=1e-7)
+
+
 def test_common_shift_moves_only_the_constant_term(fitted):
     _, update, _, _, _ = fitted
     p = update.patches

@@ -8,7 +8,7 @@ import pytest
 
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import Agreement, Volume
+from ladar_volume.model.records import Agreement, SourceAgreement, Volume
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import (
     Scatter,
@@ -21,7 +21,11 @@ from ladar_volume.uncertainty.pass_agreement import (
     sideways_shift,
     source_agreement,
 )
-from ladar_volume.volume.field_checks.field_verdict import inflate_shared_variances, with_passes
+from ladar_volume.volume.field_checks.field_verdict import (
+    budget_scales,
+    variance_ratio,
+    with_passes,
+)
 from test.scenes.volume_surfaces import platform, surface_update
 
 BUDGET = BudgetParameters()
@@ -84,7 +88,7 @@ def test_a_boresight_is_seen_between_opposite_passes_and_a_lever_arm_up_is_not()
 
 
 def agreement(patches, nav):
-    return pass_agreement(patch_scatter(patches, nav, BUDGET), patches, nav, BUDGET)
+    return pass_agreement(patch_scatter(patches, nav, BUDGET), patches, nav, BUDGET, 0.6)
 
 
 def test_a_true_budget_stands_and_a_wrong_one_is_refuted():
@@ -146,7 +150,29 @@ def test_a_refuted_budget_is_scaled_warned_of_or_refused():
     true = dataclasses.replace(REFUTED, refuted=False)
     assert with_passes(VOLUME, true, "scale").verdict.sound
     assert with_passes(VOLUME, None, "scale") == VOLUME
-    assert inflate_shared_variances(VOLUME, 1.0).sigma_m3 == pytest.approx(VOLUME.sigma_m3)
+
+
+def group(name, scale):
+    return SourceAgreement(name, 0.004, scale, 10.0, 1e-6, True, 0.5, scale)
+
+
+def test_a_refuted_group_scales_its_own_lines_alone():
+    sources = (group("boresight", 4.0), group("position", 1.0), group("noise", 3.0))
+    found = dataclasses.replace(REFUTED, sources=sources)
+    v = with_passes(VOLUME, found, "scale")
+    assert v.budget_m6 == pytest.approx({**LINES, "boresight": 0.36, "noise": 0.03})
+    assert v.sigma_m3**2 == pytest.approx(sum(v.budget_m6.values()))
+    (doubt,) = v.verdict.doubts
+    assert "boresight 2 ± 0.1 times" in doubt.text and "position" not in doubt.text
+    assert variance_ratio(VOLUME, found, "scale") == pytest.approx(
+        (v.sigma_m3 / VOLUME.sigma_m3) ** 2
+    )
+    assert with_passes(VOLUME, found, "warn").sigma_m3 == VOLUME.sigma_m3
+    rough = dataclasses.replace(found, refuted=False, sources=(group("noise", 3.0),))
+    quiet = with_passes(VOLUME, rough, "scale")  # roughness is no disagreement of the passes
+    assert quiet.verdict.sound and quiet.budget_m6 == pytest.approx({**LINES, "noise": 0.03})
+    joint = budget_scales(found, "scale", ["calibration", "boresight_second_order", "attitude"])
+    assert joint == {"calibration": 4.0, "boresight_second_order": 16.0, "attitude": 1.0}
 
 
 def sloping(jump, own_m=0.0, seed=3):

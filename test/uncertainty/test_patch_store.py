@@ -75,6 +75,32 @@ def test_merge(look_every, pending, monkeypatch):
     )  # own blocks alone
     sent = last.M_nav[: last.nav_start[1]]
     assert found.M_nav == pytest.approx(sent, abs=2**-16 * float(np.abs(sent).max()))
+    assert np.isnan(found.nav_residual).all() and np.isnan(found.beam_residual).all()  # not sent
+
+
+def test_residuals_stay_with_their_patches():
+    whole = surface_update(cone, spacing=1.0, half=4.0)
+    p, m = whole.patches, len(whole.patches)
+    own = {
+        "nav_residual": np.arange(len(p.nav_bin), dtype=np.float32),
+        "beam_residual": np.arange(16 * m, dtype=np.float32).reshape(m, 16),
+    }
+    whole = dataclasses.replace(whole, patches=dataclasses.replace(p, **own))
+    store = PatchStore()
+    store.replace(whole)
+    for part in update_parts(whole, 17):
+        store.replace(part)
+    store.replace(
+        FilterUpdate(1, p.key[3:5], select(whole.points, np.zeros(0, np.int64)), part_of(p))
+    )
+    left = np.delete(np.arange(m), [3, 4])
+    assert store.patches.nav_residual.tolist() == own["nav_residual"][left].tolist()
+    assert (store.patches.beam_residual == own["beam_residual"][left]).all()
+
+
+def part_of(patches):
+    """None of the patches."""
+    return take_patches(patches, np.zeros(0, np.int64))
 
 
 def test_nothing_yet():

@@ -10,7 +10,7 @@ from random_surfaces import random_surface
 
 from ladar_volume.io import message_tables
 from ladar_volume.model.errors import CloudError
-from ladar_volume.model.records import FilterUpdate, Patches
+from ladar_volume.model.records import CAL_COLUMNS, FilterUpdate, Patches
 
 
 def update(p, seed=0):
@@ -31,9 +31,21 @@ def update(p, seed=0):
     )
 
 
+def with_residuals(sent, seed=1):
+    """The update with residuals of its bins and beams."""
+    rng, p = np.random.default_rng(seed), sent.patches
+    beams = (p.M_cal.shape[2] - len(CAL_COLUMNS)) // 2
+    residuals = {
+        "nav_residual": rng.normal(size=len(p.nav_bin)).astype(np.float32),
+        "beam_residual": rng.normal(size=(len(p), beams)).astype(np.float32),
+    }
+    return dataclasses.replace(sent, patches=dataclasses.replace(p, **residuals))
+
+
+@pytest.mark.parametrize("residuals", [False, True])
 @pytest.mark.parametrize("p", [3, 6])
-def test_there_and_back(p):
-    sent = update(p)
+def test_there_and_back(p, residuals):
+    sent = with_residuals(update(p)) if residuals else update(p)
     back = message_tables.filter_update(sent.points, message_tables.patch_columns(sent))
     assert (back.t_ns, back.complete, back.removed.tolist()) == (7, False, [5, 9])
     for field in dataclasses.fields(Patches):

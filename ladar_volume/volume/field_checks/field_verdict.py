@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
@@ -58,6 +60,17 @@ from ladar_volume.volume.measured_body import (
 COVER = 4.0
 #: Lines of the budget that returns do not share.
 OWN = ("noise", "noise_tangential", "base_surface")
+#: Lines of the budget that a group of sources has, and with which power of its variances they
+#: grow.
+LINES_OF: dict[str, dict[str, int]] = {
+    "beams": {"beam_range": 1, "beam_vertical": 1},
+    "boresight": {"boresight": 1, "boresight_second_order": 2},
+    "lever_arms": {"lever_laser": 1, "lever_antenna": 1},
+    "attitude": {"attitude": 1, "attitude_second_order": 2},
+    "position": {"position": 1},
+    "clock": {"clock": 1},
+    "noise": {"noise": 1, "noise_tangential": 1},
+}
 #: Share of the points that a median screen may change: more are no outliers.
 MOST_SCREENED = 0.05
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
@@ -157,13 +170,30 @@ def with_base(
     return with_line(volume, "base_model", found.variance_m6)
 
 
-def budget_scale(found: Agreement | None, check: str) -> float:
-    """By how much the variances that returns share are made larger: 1 where the passes do not
-    refute the budget, or are not to scale it.
+def budget_scales(found: Agreement | None, check: str, lines: Iterable[str]) -> dict[str, float]:
+    """By how much each of the budget's lines is made larger: 1 where the passes do not refute the
+    budget, or are not to scale it. Where they refute groups of sources, the lines of these are;
+    else all that returns share.
     """
-    if found is None or not found.refuted or check != "scale":
-        return 1.0
-    return min(found.factor, MOST)
+    if found is None or check != "scale":
+        return dict.fromkeys(lines, 1.0)
+    by_line = {
+        line: max(s.scale, 1.0) ** power
+        for s in found.sources
+        for line, power in LINES_OF[s.name].items()
+    }
+    groups = any(s.scale > 1.0 for s in found.sources if s.name != "noise")
+    by_line["calibration"] = max(by_line.get(name, 1.0) for name in CALIBRATION_GROUPS)
+    alone = 1.0 if groups or not found.refuted else max(1.0, min(found.factor, MOST))
+    return {name: by_line.get(name, 1.0) if groups or name in OWN else alone for name in lines}
+
+
+def variance_ratio(volume: Volume, found: Agreement | None, check: str) -> float:
+    """Variance of a volume with its lines as the passes have them over that by the budget."""
+    lines = volume.budget_m6
+    scales = budget_scales(found, check, lines)
+    before = sum(lines.values())
+    return sum(scales[k] * v for k, v in lines.items()) / before if before > 0.0 else 1.0
 
 
 def shift_words(found: Agreement) -> str:
@@ -195,21 +225,39 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     if found is not None and found.shift_m > 0.0:
         shifted = Verdict((Doubt("passes_shifted", shift_words(found), found.shift_m),))
         volume = dataclasses.replace(volume, verdict=volume.verdict + shifted)
-    if found is None or not found.refuted:
+    if found is None:
         return volume
-    words = (
+    scales = budget_scales(found, check, {**volume.budget_m6, **volume.budget_within_m6})
+    if not found.refuted:
+        return scaled_lines(volume, scales)
+    words = refuted_words(found)
+    if check == "refuse":
+        raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
+    doubt = Doubt("budget", words, found.factor)
+    volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
+    return scaled_lines(volume, scales)
+
+
+def refuted_words(found: Agreement) -> str:
+    """By how much passes and beams disagree, and what to do."""
+    scaled = [s for s in found.sources if s.scale > 1.0 and s.name != "noise"]
+    if scaled:
+        listed = ", ".join(
+            f"{s.name.replace('_', ' ')} {math.sqrt(s.factor):.2g} ± "
+            f"{0.5 * s.sigma / math.sqrt(s.factor):.1g} times its sigma (p = {s.p_value:.1g})"
+            for s in sorted(scaled, key=lambda s: -s.factor)
+        )
+        return (
+            f"passes and beams lie over each other as with {listed}: run `calibrate strips`, look "
+            "for a jump of the fixes or a wrong clock, or give a true budget"
+        )
+    return (
         f"returns of different passes and beams disagree: the median patch scatters by "
         f"{1e3 * found.residual_m:.3g} mm about its surface where the budget says "
         f"{1e3 * found.predicted_m:.3g} mm (p = {found.p_value:.1g}), so that position, attitude, "
         "calibration or clock are worse than given, or the surface is rough or overgrown; "
         f"run `calibrate strips`, or give a true budget{group_words(found)}"
     )
-    if check == "refuse":
-        raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
-    doubt = Doubt("budget", words, found.factor)
-    volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
-    factor = budget_scale(found, check)
-    return volume if factor == 1.0 else inflate_shared_variances(volume, factor)
 
 
 def with_cover(volume: Volume, more: float) -> Volume:
@@ -227,9 +275,11 @@ def with_cover(volume: Volume, more: float) -> Volume:
     return with_line(volume, "vegetation", sigma**2)
 
 
-def inflate_shared_variances(volume: Volume, factor: float) -> Volume:
-    """The volume with the variances of what returns share larger by a factor."""
-    lines = {k: v if k in OWN else factor * v for k, v in volume.budget_m6.items()}
+def scaled_lines(volume: Volume, scales: Mapping[str, float]) -> Volume:
+    """The volume with each line of its budget larger by a factor."""
+    if max(scales.values(), default=1.0) == 1.0:
+        return volume
+    lines = {k: scales[k] * v for k, v in volume.budget_m6.items()}
     sigma = math.sqrt(sum(lines.values()))
     more = sigma / volume.sigma_m3 if volume.sigma_m3 > 0.0 else 1.0
     low, high = volume.sigma_tau_range_m3
@@ -237,7 +287,7 @@ def inflate_shared_variances(volume: Volume, factor: float) -> Volume:
         volume,
         sigma_m3=sigma,
         budget_m6=lines,
-        budget_within_m6={k: factor * v for k, v in volume.budget_within_m6.items()},
+        budget_within_m6={k: scales[k] * v for k, v in volume.budget_within_m6.items()},
         sigma_tau_range_m3=(more * low, more * high),
     )
 
@@ -276,10 +326,12 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     cover = 0.0
     if len(footing.base.support):
         ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
-        cover = cover_scatter(scatter, ground, body)
+        own = scatter.within_bins(survey.patches)
+        cover = cover_scatter(own or scatter, ground, body)
         if cover > 0.0:
             scatter = scatter.of(body[scatter.rows])
-    return PassAgreement(pass_agreement(scatter, survey.patches, nav, b), cover)
+    gap_s = parameters.georeference.max_position_gap_s
+    return PassAgreement(pass_agreement(scatter, survey.patches, nav, b, gap_s), cover)
 
 
 def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) -> Volume:

@@ -1,0 +1,86 @@
+"""How often is one group of error sources found that is worse than its budget, and by how much is
+it scaled? Errors are drawn anew on the patches and sensitivities of surveys that were filtered
+once.
+
+    python -m benchmarks.refuted_budgets [--first 5001] [--surveys 4] [--draws 400]
+
+Ten fixes a second are flown; the estimate takes one every ``max_position_gap_s``.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from benchmarks.cut_holes import surveyed
+from ladar_volume.uncertainty.pass_differences import UnitErrors, pass_differences
+from ladar_volume.uncertainty.variance_components import Component, variance_components
+
+FIX_GAP_S = 0.1
+CASES = (
+    ("none", (1.0,)),
+    ("position", (2.0, 3.0, 5.0)),
+    ("attitude", (2.0, 3.0, 5.0)),
+    ("beams", (2.0, 3.0, 5.0)),
+    ("boresight", (2.0, 3.0, 5.0)),
+    ("lever_arms", (2.0, 3.0, 5.0)),
+    ("clock", (5.0, 100.0)),
+)
+Pair = tuple[list[UnitErrors], list[UnitErrors]]
+
+
+def believed_and_true(seed: int) -> Pair:
+    """What a survey's patches tell by the budget, and what is drawn from."""
+    of = surveyed(seed).estimator
+    patches, budget = of.store.patches, of.parameters.budget
+    assert patches is not None
+    gap_s = of.parameters.georeference.max_position_gap_s
+    return (
+        pass_differences(patches, of._navigation, budget, gap_s),
+        pass_differences(patches, of._navigation, budget, FIX_GAP_S),
+    )
+
+
+def drawn(pair: Pair, group: str, factor: float, rng: np.random.Generator) -> dict[str, Component]:
+    """Components of one draw with the sigma of a group so many times as large."""
+    out: dict[str, Component] = {}
+    for believed, true in zip(*pair, strict=True):
+        V = true.noise * np.eye(len(true.y))
+        for name, part in true.part.items():
+            V += (factor**2 if name == group else 1.0) * part
+        y = np.linalg.cholesky(V) @ rng.standard_normal(len(true.y))
+        out |= variance_components(believed._replace(y=y))
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=5001)
+    parser.add_argument("--surveys", type=int, default=4)
+    parser.add_argument("--draws", type=int, default=400)
+    options = parser.parse_args()
+    pairs = [believed_and_true(options.first + k) for k in range(options.surveys)]
+    rng = np.random.default_rng(options.first)
+    print(
+        "| worse | times | found | another one | scaled sigma over true, RMS |\n|---|" + "---:|" * 4
+    )
+    for group, factors in CASES:
+        for factor in factors:
+            made = [drawn(pairs[k % len(pairs)], group, factor, rng) for k in range(options.draws)]
+            own = [c[group] for c in made if group in c]
+            found = np.mean([c.freed for c in own]) if own else 0.0
+            others = np.mean(
+                [any(c.freed for name, c in one.items() if name != group) for one in made]
+            )
+            scales = [max(c.factor, 1.0) if c.freed else 1.0 for c in own]
+            ratio = np.sqrt(np.mean(scales)) / factor if own else 1.0
+            print(
+                f"| {group} | {factor:g} | {100 * found:.0f} % | {100 * others:.1f} % "
+                f"| {ratio:.2f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

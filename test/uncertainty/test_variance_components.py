@@ -1,0 +1,224 @@
+"""Variance components of what passes differ by, from errors that are drawn."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from volume_surfaces import T0, normal_frame
+
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.records import Patches, PlatformStates
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.pass_agreement import pass_agreement, patch_scatter
+from ladar_volume.uncertainty.pass_differences import (
+    UnitErrors,
+    asked_patches,
+    bin_covariances,
+    bin_residuals,
+    pass_differences,
+    scatter_within_bins,
+    steady_looks,
+)
+from ladar_volume.uncertainty.variance_components import scores, variance_components
+
+BUDGET, BINS, BEAMS, BIN_NS = BudgetParameters(), 16, 8, 1_000_000_000
+FIRST = T0 // BIN_NS
+
+
+def flight():
+    """Bins of a platform at 20 m that flies to and fro, and their poses."""
+    t = np.arange(BINS)
+    back = t % 2 == 1
+    p = np.stack([np.zeros(BINS), np.linspace(-12.0, 12.0, BINS), np.full(BINS, 20.0)], axis=1)
+    q = np.where(back[:, None], (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    C = np.zeros((BINS, 6, 6))
+    C[:, range(3), range(3)] = np.square(BUDGET.position_sigma_m)
+    C[:, range(3, 6), range(3, 6)] = np.square(BUDGET.attitude_sigma_rad)
+    nav = NavigationBins(1.0)
+    still = np.zeros((BINS, 3))
+    nav.add(PlatformStates((FIRST + t) * BIN_NS, p, q, still, still, C, np.zeros(BINS, np.int64)))
+    return nav, p, np.where(back, -1.0, 1.0)
+
+
+def patches(seed=0, m=200, returns=160):
+    """Patches of any slope up to 30 degrees, all seen in every bin by every beam, with their
+    sensitivities written out; residuals of noise alone.
+    """
+    rng = np.random.default_rng(seed)
+    _, place, sign = flight()
+    xy = rng.uniform(-12.0, 12.0, (m, 2))
+    n = np.stack([*rng.uniform(-0.5, 0.5, (2, m)), np.ones(m)], axis=1)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    t, side = normal_frame(n)
+    centre = np.concatenate([xy, np.zeros((m, 1))], axis=1)
+    M_nav = np.zeros((m, BINS, 5, 4))
+    M_cal = np.zeros((m, 5, 11 + 2 * BEAMS))
+    turn = np.stack([sign, sign, np.ones(BINS)], axis=1)  # half a turn about the vertical
+    arm = (centre[:, None] - place) * turn
+    unit = (centre - [0.0, 0.0, 20.0]) / np.linalg.norm(centre - [0.0, 0.0, 20.0], axis=1)[:, None]
+    for row, axis in ((0, n), (3, t), (4, side)):
+        M_nav[:, :, row, 0] = 1.0 / BINS
+        M_nav[:, :, row, 1:] = np.cross(arm, axis[:, None] * turn) / BINS
+        M_cal[:, row, 11 : 11 + BEAMS] = (axis * unit).sum(axis=1)[:, None] / BEAMS
+    noise, each = 0.012, returns / BINS
+    made = Patches(
+        np.arange(m),
+        centre,
+        n,
+        t,
+        np.zeros((m, 3)),
+        np.full(m, noise),
+        np.full(m, returns, np.int32),
+        np.full(m, T0),
+        np.arange(m + 1),
+        np.arange(m),
+        np.zeros((m, 3, 3), np.float32),
+        M_cal.astype(np.float32),
+        BINS * np.arange(m + 1),
+        np.tile(FIRST + np.arange(BINS), m),
+        M_nav.reshape(m * BINS, 5, 4).astype(np.float32),
+        nav_residual=rng.normal(0.0, noise / math.sqrt(each), m * BINS).astype(np.float32),
+        beam_residual=rng.normal(0.0, noise / math.sqrt(returns / BEAMS), (m, BEAMS)).astype(
+            np.float32
+        ),
+    )
+    return made, arm, turn
+
+
+def shifted(made, rise, by_beam):
+    """The patches with rises (m, bins) m of what was seen in each bin, and (m, beams) of each
+    beam.
+    """
+    rise = rise - rise.mean(axis=1, keepdims=True)
+    by_beam = by_beam - by_beam.mean(axis=1, keepdims=True)
+    square = made.sigma**2 + (rise**2).mean(axis=1) + (by_beam**2).mean(axis=1)
+    return dataclasses.replace(
+        made,
+        sigma=np.sqrt(square),
+        nav_residual=made.nav_residual + rise.ravel().astype(np.float32),
+        beam_residual=made.beam_residual + by_beam.astype(np.float32),
+    )
+
+
+def drawn_rise(group, factor, seed):
+    """Patches with errors of the whole budget, of one group that many times the sigma."""
+    rng = np.random.default_rng([seed, 7])
+    made, arm, turn = patches(seed)
+    times = {
+        g: factor if g == group else 1.0 for g in ("position", "attitude", "boresight", "beams")
+    }
+    apart = np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
+
+    def walk(constant, tau, sigma):
+        C = constant + (0.9 - constant) * np.exp(-apart / tau) + 0.01 * np.eye(BINS)
+        return np.linalg.cholesky(C) @ rng.normal(size=(BINS, 3)) * sigma
+
+    b = BUDGET
+    place = walk(b.position_bias_fraction, b.tau_position_s, b.position_sigma_m)
+    angle = walk(b.attitude_bias_fraction, b.tau_attitude_s, b.attitude_sigma_rad)
+    angle = times["attitude"] * angle + times["boresight"] * rng.normal(0.0, b.boresight_sigma_rad)
+    # a turn w of the body moves what it sees by w x arm, in its own axes
+    moved = np.cross(angle, arm) * turn + times["position"] * place
+    rise = (moved * made.normal[:, None]).sum(axis=2)
+    ranges = times["beams"] * rng.normal(0.0, b.beam_range_sigma_m, BEAMS)
+    return shifted(made, rise, BEAMS * made.M_cal[:, 0, 11 : 11 + BEAMS] * ranges)
+
+
+def components(made):
+    out = {}
+    for found in pass_differences(made, flight()[0], BUDGET, 0.1):
+        out |= variance_components(found)
+    return out
+
+
+def test_effects_are_those_of_the_lidar_equation():
+    made, arm, turn = patches()
+    nav, b = flight()[0], BUDGET
+    rows = asked_patches(made)
+    looks = steady_looks(made, rows, nav)
+    found, sizes = bin_residuals(made, rows, looks, nav, b)
+    assert len(rows) == 200 and len(looks.bins) == BINS
+    by_turn = np.cross(arm, made.normal[:, None] * turn).reshape(-1, 3)
+    assert found.A[:, :3] == pytest.approx(by_turn * b.boresight_sigma_rad, abs=1e-6)
+    bin_of = np.tile(np.arange(BINS), 200)
+    for e in (0, 5):
+        own = bin_of == e
+        seen = found.A[own, 7 + 3 * e : 10 + 3 * e]
+        assert seen == pytest.approx(made.normal * b.position_sigma_m)
+        assert not found.A[~own, 7 + 3 * e : 10 + 3 * e].any()
+    assert found.returns == pytest.approx(10.0) and sizes.position_m < 0.022
+    C = bin_covariances(looks.bins, 1.0, 10.0, sizes, b)["position"][7:, 7:]
+    assert C[0, 3] == pytest.approx(0.2 + 0.7 * math.exp(-1.0 / 300.0))
+    assert C[0, 0] == pytest.approx(0.2 + 0.7 + 0.01)
+
+
+def test_scatter_within_bins_leaves_out_what_differs_between_them():
+    made = drawn_rise("position", 5.0, 3)
+    quiet = patches(3)[0]
+    own = scatter_within_bins(made, np.arange(200))
+    assert np.median(own) == pytest.approx(np.median(quiet.sigma) ** 2, rel=0.25)
+    assert np.median(made.sigma) > 1.5 * np.median(quiet.sigma)
+
+
+def test_true_budgets_stand():
+    freed = [c.freed for seed in range(12) for c in components(drawn_rise("", 1.0, seed)).values()]
+    assert len(freed) == 12 * 6 and not any(freed)
+
+
+@pytest.mark.parametrize("group", ["position", "attitude", "beams"])
+def test_a_group_that_is_worse_is_found_with_its_size(group):
+    found = [components(drawn_rise(group, 4.0, seed)) for seed in range(6)]
+    assert all(c[group].freed and c[group].p_value < 1e-3 for c in found)
+    others = [c.freed for one in found for name, c in one.items() if name != group]
+    assert np.mean(others) < 0.05
+    assert np.mean([c[group].factor for c in found]) == pytest.approx(16.0, rel=0.4)
+
+
+def test_a_boresight_twenty_sigmas_off_is_found():
+    found = components(drawn_rise("boresight", 20.0, 4))
+    assert found["boresight"].freed and found["boresight"].factor > 50.0
+
+
+def test_agreement_takes_the_components():
+    made, nav = drawn_rise("attitude", 5.0, 2), flight()[0]
+    found = pass_agreement(patch_scatter(made, nav, BUDGET), made, nav, BUDGET, 0.1)
+    by_name = {s.name: s for s in found.sources}
+    assert found.refuted and by_name["attitude"].scale > 8.0 and by_name["position"].scale == 1.0
+    assert by_name["attitude"].sigma > 0.0 and by_name["noise"].scale == 1.0
+    rough = dataclasses.replace(made, sigma=np.sqrt(made.sigma**2 + 0.03**2))
+    found = pass_agreement(patch_scatter(rough, nav, BUDGET), rough, nav, BUDGET, 0.1)
+    assert {s.name: s.scale > 1.0 for s in found.sources}["noise"]
+
+
+def test_old_patches_tell_nothing():
+    made = patches()[0]
+    none = dataclasses.replace(
+        made, nav_residual=np.zeros(0, np.float32), beam_residual=np.zeros(0, np.float32)
+    )
+    assert pass_differences(none, flight()[0], BUDGET, 0.1) == []
+    assert scatter_within_bins(none, np.arange(5)) is None
+
+
+def test_scores_are_derivatives_of_the_likelihood():
+    rng = np.random.default_rng(3)
+    A, B = rng.normal(size=(2, 9, 9))
+    found = UnitErrors(rng.normal(size=9), 0.7, {"a": A @ A.T, "b": B @ B.T})
+
+    def likelihood(s):
+        V = 0.7 * np.eye(9) + s[0] * A @ A.T + s[1] * B @ B.T
+        return -np.linalg.slogdet(V)[1] - found.y @ np.linalg.solve(V, found.y)
+
+    at, s, h = scores(found, np.array([1.3, 0.8])), np.array([1.3, 0.8]), 1e-6
+    assert at.likelihood == pytest.approx(likelihood(s))
+    for g in range(2):
+        d = h * np.eye(2)[g]
+        slope = (likelihood(s + d) - likelihood(s - d)) / (2 * h)
+        assert at.first[g] == pytest.approx(slope, rel=1e-5)
+    # the score is a quadratic form of normal numbers: its mean and its freedom, by drawing
+    V = 0.7 * np.eye(9) + 1.3 * A @ A.T + 0.8 * B @ B.T
+    y = np.linalg.cholesky(V) @ rng.normal(size=(9, 40_000))
+    P = np.linalg.inv(V)
+    square = np.einsum("ik,ij,jk->k", P @ y, A @ A.T, P @ y)
+    assert np.trace(P @ A @ A.T) == pytest.approx(square.mean(), rel=0.02)
+    assert at.freedom[0] == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.05)
