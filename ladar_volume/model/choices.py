@@ -27,6 +27,17 @@ CALIBRATION_GROUPS = (
     "lever_antenna",
     "clock",
 )
+#: Lines of the budget that a group of sources has, and with which power of its variances they
+#: grow.
+SOURCE_LINES: dict[str, dict[str, int]] = {
+    "beams": {"beam_range": 1, "beam_vertical": 1},
+    "boresight": {"boresight": 1, "boresight_second_order": 2},
+    "lever_arms": {"lever_laser": 1, "lever_antenna": 1},
+    "attitude": {"attitude": 1, "attitude_second_order": 2},
+    "position": {"position": 1},
+    "clock": {"clock": 1},
+    "noise": {"noise": 1, "noise_tangential": 1},
+}
 #: Ways to take the ring's misregistration out of B, and the parameters they fit.
 CORRECTIONS = {"none": 0, "offset": 1, "rigid": 6}
 #: What may be kept as it is although it lies on no surface, on request.

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from ladar_volume.cli.tables.result_table import told_by_passes
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import Agreement, SourceAgreement, Volume
@@ -219,3 +220,11 @@ def test_a_group_alone_to_blame_takes_what_the_others_leave():
     assert not found["lever_arms"].visible and math.isnan(found["lever_arms"].p_value)
     true = source_agreement(part, sum(part.values()), 40.0, BUDGET)
     assert all(s.factor == pytest.approx(1.0) and s.p_value > 0.1 for s in true if s.visible)
+
+
+def test_the_budget_table_shows_the_components():
+    told = told_by_passes({"passes": {"sources": [dataclasses.asdict(group("beams", 9.0))]}})
+    assert told == dict.fromkeys(("beam_range", "beam_vertical"), "3 ± 0.08, refuted")
+    unknown = dataclasses.replace(group("attitude", 1.0), sigma=math.nan)
+    assert told_by_passes({"passes": {"sources": [dataclasses.asdict(unknown)]}}) == {}
+    assert told_by_passes({"passes": None}) == {} == told_by_passes({})

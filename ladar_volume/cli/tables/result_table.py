@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.verdict_lines import add_verdict_rows
+from ladar_volume.model.choices import SOURCE_LINES
 
 
 def show_result(console: Console, result: Mapping[str, Any]) -> None:
@@ -150,7 +152,7 @@ def volume_rows(head: Table, result: Mapping[str, Any]) -> None:
 
 def budget_table(result: Mapping[str, Any]) -> Table:
     """The budget: each source's own sigma and share, and the sigma of the volume if the source were
-    halved.
+    halved; where the passes tell, how many times as large as given its sigma is.
     """
     total = sum(result["budget_m6"].values()) or 1.0
     title = "Where the uncertainty comes from"
@@ -162,6 +164,9 @@ def budget_table(result: Mapping[str, Any]) -> Table:
         title=title,
         title_justify="left",
     )
+    told = told_by_passes(result)
+    if told:
+        budget.add_column("passes say, times given")
     for source, variance in result["budget_m6"].items():
         if variance > 1e-4 * total:
             own, halved = max(variance, 0.0) ** 0.5, result["sigma_if_halved_m3"][source]
@@ -170,6 +175,7 @@ def budget_table(result: Mapping[str, Any]) -> Table:
                 f"{own:.4f}",
                 f"{100 * variance / total:.1f} %",
                 f"{halved:.4f}",
+                *([told.get(source, "")] if told else []),
             )
             within = result.get("budget_within_m6") or {}
             for part, marginal in within.items() if source == "calibration" else ():
@@ -179,5 +185,22 @@ def budget_table(result: Mapping[str, Any]) -> Table:
                         f"{marginal**0.5:.4f}",
                         "correlated",
                         "",
+                        *([told.get(part, "")] if told else []),
                     )
     return budget
+
+
+def told_by_passes(result: Mapping[str, Any]) -> dict[str, str]:
+    """By line of the budget: how many times as large as given its sigma is by what passes differ
+    by, and whether the budget is refuted by it.
+    """
+    out: dict[str, str] = {}
+    for group in (result.get("passes") or {}).get("sources", ()):
+        factor, sigma = group["factor"], group.get("sigma")
+        if sigma is None or not math.isfinite(sigma):
+            continue
+        times = math.sqrt(max(factor, 0.0))
+        words = f"{times:.2g} ± {0.5 * sigma / max(times, math.sqrt(0.5 * sigma)):.1g}"
+        words += ", refuted" if group["scale"] > 1.0 else ""
+        out |= dict.fromkeys(SOURCE_LINES[group["name"]], words)
+    return out

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.model.choices import CALIBRATION_GROUPS
+from ladar_volume.model.choices import CALIBRATION_GROUPS, SOURCE_LINES
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
@@ -60,17 +60,6 @@ from ladar_volume.volume.measured_body import (
 COVER = 4.0
 #: Lines of the budget that returns do not share.
 OWN = ("noise", "noise_tangential", "base_surface")
-#: Lines of the budget that a group of sources has, and with which power of its variances they
-#: grow.
-LINES_OF: dict[str, dict[str, int]] = {
-    "beams": {"beam_range": 1, "beam_vertical": 1},
-    "boresight": {"boresight": 1, "boresight_second_order": 2},
-    "lever_arms": {"lever_laser": 1, "lever_antenna": 1},
-    "attitude": {"attitude": 1, "attitude_second_order": 2},
-    "position": {"position": 1},
-    "clock": {"clock": 1},
-    "noise": {"noise": 1, "noise_tangential": 1},
-}
 #: Share of the points that a median screen may change: more are no outliers.
 MOST_SCREENED = 0.05
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
@@ -180,7 +169,7 @@ def budget_scales(found: Agreement | None, check: str, lines: Iterable[str]) -> 
     by_line = {
         line: max(s.scale, 1.0) ** power
         for s in found.sources
-        for line, power in LINES_OF[s.name].items()
+        for line, power in SOURCE_LINES[s.name].items()
     }
     groups = any(s.scale > 1.0 for s in found.sources if s.name != "noise")
     by_line["calibration"] = max(by_line.get(name, 1.0) for name in CALIBRATION_GROUPS)
