@@ -276,6 +276,9 @@ class Replay:
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
             source |= {"poses_height": self.poses.height_reference}
+        left_out = self.bag.left_out()
+        unheard = {r: left_out[t] for r, t in self.topics.items() if t in left_out}
+        source |= {"unheard_live": unheard} if unheard else {}
         return source | ({"more_than_live": more} if more else {})
 
     def result(self, estimate: Estimate) -> dict[str, Any]:

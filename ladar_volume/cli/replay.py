@@ -46,6 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_workers(arguments)
     if arguments.convergence and (arguments.dask is not None or arguments.tile is not None):
         raise ConfigurationError("--convergence is for one process: leave --tile and --dask out")
+    if arguments.all_messages and (arguments.dask is not None or arguments.tile is not None):
+        raise ConfigurationError("--all-messages is for one process: leave --tile and --dask out")
     with output_set(arguments.output, results.SURVEY_FILES) as folder:
         result, seconds = _replay_and_write(arguments, parameters, folder, console)
     if arguments.json:
@@ -53,6 +55,11 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show_result(console, result)
         show_bodies(console, result.get("closed_bodies", []))
+        if unheard := result["input"].get("unheard_live"):
+            console.print(
+                f"{in_words(unheard)} that the log had heard before georeference_node did are left "
+                "out, so that this is the live volume (--all-messages takes them)"
+            )
         if more := result["input"].get("more_than_live"):
             console.print(
                 f"the log has {in_words(more)} more than georeference_node had heard: this volume "
@@ -82,7 +89,8 @@ def _replay_and_write(
     arguments: argparse.Namespace, parameters: Parameters, folder: Path, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""
-    with open_recordings([arguments.bag, *arguments.more]) as bag:
+    paths = [arguments.bag, *arguments.more]
+    with open_recordings(paths, arguments.all_messages) as bag:
         poses = poses_of(arguments, parameters)
         roles = bag.roles(wanted_topics(topics_by_role(arguments.topic), parameters))
         part = (arguments.start, arguments.duration)

@@ -4,6 +4,7 @@ out.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import ladar_volume.io.bounded_unpacking  # noqa: F401  (bounds what rosbags unpacks)
 from ladar_volume.io.drivers import velodyne_scan
 from ladar_volume.io.frames import moving_frames, static_frames
+from ladar_volume.io.logs import unheard
 from ladar_volume.model.errors import BagError, OutputError, short_repr
 from ladar_volume.model.parameters import Parameters
 
@@ -104,6 +106,14 @@ class Recording(ABC):
     def __exit__(self, *error: object) -> None:
         """Close the files."""
 
+    def left_out(self) -> dict[str, int]:
+        """Messages by topic that a log has, and the nodes had not heard live: in no count here."""
+        total: dict[str, int] = {}
+        for part in self.parts:
+            for topic, count in part.left_out().items():
+                total[topic] = total.get(topic, 0) + count
+        return total
+
     def roles(self, wanted: Mapping[str, str] | None = None) -> dict[str, str]:
         """Role → topic: as ``wanted``, else the usual name, else the only topic of the type, else
         the same of the type that stands in (:data:`INSTEAD`).
@@ -149,13 +159,15 @@ class Recording(ABC):
 
 
 class BagReader(Recording):
-    """A recording of ROS, opened on construction.
+    """A recording of ROS, opened on construction. Of a log of the nodes that is what they heard,
+    without what the log names as heard by itself alone, unless ``all_messages`` asks for that.
 
     Raises :class:`BagError` with reason bag_missing, bag_format, bag_empty or bag_truncated.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, all_messages: bool = False) -> None:
         self.path = Path(path)
+        self._unheard = unheard.NONE
         if not self.path.exists():
             raise BagError(f"{self.path}: no such recording", reason="bag_missing", value=str(path))
         try:
@@ -181,6 +193,23 @@ class BagReader(Recording):
             raise BagError(
                 f"{self.path}: the recording holds no message", reason="bag_empty", value=str(path)
             )
+        if not all_messages:
+            self._unheard = self._named_as_unheard()
+
+    def _named_as_unheard(self) -> unheard.UnheardMessages:
+        """What the recording says of itself; nothing where it breaks off, which its reader says."""
+        topics = {t for t, (k, _) in self.topics().items() if k == unheard.KIND}
+        topics = {t for t in topics if f"/{t}".endswith(f"/{unheard.TOPIC}")}
+        found: list[unheard.Unheard] = []
+        with contextlib.suppress(BagError):
+            for raw in self.raw(topics) if topics else ():
+                named = unheard.unheard_from_text(self.message(raw).data)
+                found += [] if named is None else [named]
+        return unheard.UnheardMessages(found)
+
+    def left_out(self) -> dict[str, int]:
+        """Messages by topic that the log alone had heard."""
+        return dict(self._unheard.counts())
 
     def _check_numbers(self) -> None:
         """Counts and times of metadata.yaml are whole numbers: the library takes what is there."""
@@ -228,6 +257,9 @@ class BagReader(Recording):
         for c in self._reader.connections:
             name = c.topic.lstrip("/")
             found[name] = (c.msgtype, found.get(name, ("", 0))[1] + c.msgcount)
+        for name, count in self._unheard.counts().items():
+            if name in found:
+                found[name] = (found[name][0], max(found[name][1] - count, 0))
         return dict(sorted(found.items()))
 
     def raw(
@@ -246,7 +278,9 @@ class BagReader(Recording):
         try:
             for connection, t_ns, data in self._reader.messages(connections, first, last):
                 missing -= 1
-                yield Raw(t_ns, connection.topic.lstrip("/"), connection.msgtype, data)
+                topic = connection.topic.lstrip("/")
+                if not (self._unheard and self._unheard.hold(topic, t_ns, data)):
+                    yield Raw(t_ns, topic, connection.msgtype, data)
         except BagError as error:
             raise BagError(f"{self.path}: {error}", reason=error.reason) from error
         except (

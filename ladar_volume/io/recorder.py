@@ -34,7 +34,8 @@ _HEADER_BYTES = 128
 @dataclass
 class TopicAccount:
     """Messages of one topic: written to the disk; lost by the middleware, by a full queue, by the
-    disk; published before the log listened; bytes offered.
+    disk; published before the log listened; bytes offered; of those written, copies of what the log
+    did not hear itself.
     """
 
     written: int = 0
@@ -43,6 +44,7 @@ class TopicAccount:
     queue: int = 0
     disk: int = 0
     bytes: int = 0
+    copied: int = 0
 
 
 def free_bytes(folder: Path) -> int:

@@ -13,7 +13,7 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -385,9 +385,10 @@ class StageNode(LifecycleNode, ABC):
         topic: str,
         qos: QoSProfile,
         silent_s: float | None = None,
+        used: Callable[[bytes, Any], None] = lambda data, info: None,
     ) -> Any:
         """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a
-        silence beyond ``silent_s`` named.
+        silence beyond ``silent_s`` named. used : told of each that went to the worker.
         """
         if silent_s is not None:
             self.health.expect(kind, silent_s)
@@ -395,10 +396,12 @@ class StageNode(LifecycleNode, ABC):
         def lost(event: Any) -> None:
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
+        def take(data: bytes, info: Mapping[str, Any]) -> None:
+            if self.receive(kind, message_type, data):
+                used(data, info)
+
         events = SubscriptionEventCallbacks(message_lost=lost)
-        return self.subscribe(
-            topic, message_type, qos, lambda data, _: self.receive(kind, message_type, data), events
-        )
+        return self.subscribe(topic, message_type, qos, take, events)
 
     def subscribe(
         self,
@@ -412,7 +415,7 @@ class StageNode(LifecycleNode, ABC):
         says of it.
         """
 
-        def take(data: bytes, info: Any) -> None:
+        def take(data: bytes, info: Mapping[str, Any]) -> None:
             receive(data, info)
             take_waiting(heard, receive)
 
@@ -428,19 +431,23 @@ class StageNode(LifecycleNode, ABC):
         )
         return heard
 
-    def receive(self, kind: str, message_type: type[Any], data: bytes) -> None:
+    def receive(self, kind: str, message_type: type[Any], data: bytes) -> bool:
         """Queue the message that came as ``data``, where the node is active; bytes that are none of
-        its type are dropped and counted.
+        its type are dropped and counted. Returns whether it was queued.
         """
         if not self._active:
-            return
+            return False
         if kind == "datum":
             self._see_datum()
         message = deserialize(data, message_type)
         if message is None:
             self.losses.add(f"message_unreadable_{kind}")
-        else:
-            self.offer(kind, message)
+            return False
+        return self.offer(kind, message)
+
+    def publishers_of(self, topic: str) -> list[bytes]:
+        """Who publishes on a topic, given by its full name, now."""
+        return [bytes(p.endpoint_gid) for p in self.get_publishers_info_by_topic(topic)]
 
     def _run(self) -> None:
         given_back = time.monotonic()
@@ -561,8 +568,7 @@ class StageNode(LifecycleNode, ABC):
         self.create_timer(WATCH_S, self._watch_datum, self._group, Clock(clock_type=STEADY))
 
     def _see_datum(self) -> bool:
-        topic = self.resolve_topic_name("datum")
-        there = [bytes(p.endpoint_gid) for p in self.get_publishers_info_by_topic(topic)]
+        there = self.publishers_of(self.resolve_topic_name("datum"))
         return self._datum_from.update_publishers(there, time.monotonic())
 
     def _watch_datum(self) -> None:

@@ -5,12 +5,16 @@ out.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import Trigger
 
 from ladar_volume.georeference.georeferencer import Georeferencer
@@ -29,11 +33,13 @@ from ladar_volume.io.sensor_messages import (
 )
 from ladar_volume.model.errors import CloudError, ParameterValueError
 from ladar_volume.model.records import Returns
-from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.base import STEADY, StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
 from ladar_volume.nodes.frames.published_frames import MOVING, PublishedFrames
-from ladar_volume.nodes.message_classes import needed_class
-from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
+from ladar_volume.nodes.inputs.heard_inputs import TOPIC as TOPIC_OF_COPIES
+from ladar_volume.nodes.inputs.heard_inputs import HeardInputs
+from ladar_volume.nodes.message_classes import needed_class, type_name
+from ladar_volume.nodes.qos import HANDED_ON, LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.watch.clock_words import clock_state, clock_words
 from ladar_volume.nodes.watch.fix_step_lines import step_lines
@@ -41,6 +47,8 @@ from ladar_volume.nodes.watch.sensor_checks import SensorChecks
 
 #: An outage: sensors at 10 Hz and more do not pause this long.
 SILENT_S = 2.0
+#: How often copies for the log are looked after, s.
+HAND_ON_S = 0.2
 #: What NavSatFix.status says, as drivers use it.
 FIX_TYPES = {-1: "none", 0: "autonomous or float", 1: "augmented", 2: "RTK fixed"}
 
@@ -75,19 +83,42 @@ class GeoreferenceNode(StageNode):
         self._datum_out = self.create_publisher(NavSatFix, "datum", LATCHED)
         answers = MutuallyExclusiveCallbackGroup()
         self.create_service(Trigger, "~/flush", self._flush, callback_group=answers)
-        qos = sensor_qos(self.parameters)
-        if self.parameters.node.cloud_message == "VelodyneScan":
-            self.listen("cloud", needed_class(KIND), TOPIC, qos, SILENT_S)
+        self._heard = HeardInputs(self.publishers_of)
+        self._copies = self.create_publisher(UInt8MultiArray, TOPIC_OF_COPIES, HANDED_ON)
+        self.create_timer(HAND_ON_S, self._hand_on, self._group, Clock(clock_type=STEADY))
+        self._listen()
+
+    def _listen(self) -> None:
+        """Subscribe to the inputs."""
+        p, qos = self.parameters, sensor_qos(self.parameters)
+        if p.node.cloud_message == "VelodyneScan":
+            self._hear("cloud", needed_class(KIND), TOPIC, qos)
         else:
-            self.listen("cloud", PointCloud2, "velodyne_points", qos, SILENT_S)
-        p = self.parameters
+            self._hear("cloud", PointCloud2, "velodyne_points", qos)
         if p.georeference.pose_source == "odometry" and p.node.odometry_message == "TFMessage":
-            self.listen("odometry", needed_class(TF_KIND), "/tf", MOVING, SILENT_S)
+            self._hear("odometry", needed_class(TF_KIND), "/tf", MOVING)
         elif p.georeference.pose_source == "odometry":
-            self.listen("odometry", Odometry, "odometry", qos, SILENT_S)
+            self._hear("odometry", Odometry, "odometry", qos)
         else:
-            self.listen("fix", NavSatFix, "gnss/fix", qos, SILENT_S)
-            self.listen("imu", Imu, "imu/data", qos, SILENT_S)
+            self._hear("fix", NavSatFix, "gnss/fix", qos)
+            self._hear("imu", Imu, "imu/data", qos)
+
+    def _hear(self, role: str, message_type: type[Any], topic: str, qos: QoSProfile) -> None:
+        """Subscribe to an input; copies of its first messages go to the log."""
+        name, kind = self.resolve_topic_name(topic), type_name(message_type)
+
+        def used(data: bytes, info: Mapping[str, Any]) -> None:
+            received_ns = int(self.get_clock().now().nanoseconds)
+            self._heard.take(name, kind, data, info, received_ns, time.monotonic())
+            self._hand_on()
+
+        self.listen(role, message_type, topic, qos, SILENT_S, used)
+
+    def _hand_on(self) -> None:
+        """Publish copies of first inputs."""
+        listened = self._heard.waits and self._copies.get_subscription_count() > 0
+        for copy in self._heard.due(listened, time.monotonic()):
+            self._copies.publish(copy.message())
 
     async def _flush(
         self, request: Trigger.Request, response: Trigger.Response

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,14 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String, UInt8MultiArray
 from std_srvs.srv import Trigger
 
-from ladar_volume.io.bags import INSTEAD, ROLES
+from ladar_volume.io.bags import BY_NAME, INSTEAD, ROLES
 from ladar_volume.io.config import dump_config
+from ladar_volume.io.logs import unheard
+from ladar_volume.io.logs.heard_live import NODE
 from ladar_volume.io.mcap_log import usual_definition
 from ladar_volume.io.mcap_recovery import Recovery
 from ladar_volume.io.recorder import Recorder
@@ -24,14 +28,22 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.executor_rounds import deserialize
+from ladar_volume.nodes.inputs.heard_inputs import TOPIC as TOPIC_OF_COPIES
+from ladar_volume.nodes.inputs.input_copies import copy_from_message
+from ladar_volume.nodes.inputs.logged_inputs import LoggedInputs
 from ladar_volume.nodes.message_classes import message_class
+from ladar_volume.nodes.qos import HANDED_ON
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.missed_inputs import MissedInputs
 from ladar_volume.nodes.watch.wanted_topics import WantedTopics
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
 DISCOVERY_S = 0.2
+#: Types of the sensors' messages.
+INPUTS = frozenset(kind for roles in (ROLES, INSTEAD, BY_NAME) for kind, _ in roles.values())
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
@@ -168,6 +180,7 @@ class LoggerNode(StageNode):
         self.create_subscription(
             DiagnosticArray, "/diagnostics", self._missed.take, 50, callback_group=self._group
         )
+        self._compare_inputs()
         self._subscribe_inputs()
         self._discover()
 
@@ -184,6 +197,53 @@ class LoggerNode(StageNode):
                     f"messages; {done.lost_bytes} bytes at its end were torn"
                 )
             self._repairs.append(done)
+
+    # what georeference_node used
+    # ----------------------------------------------------------------------------------------------
+    def _compare_inputs(self) -> None:
+        """Hear which first messages of the sensors georeference_node used."""
+        self._inputs = LoggedInputs(self.publishers_of)
+        self._copies_from = OnePublisher()
+        self._copies_topic = self.resolve_topic_name(TOPIC_OF_COPIES.replace("~", NODE))
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        self.subscribe(self._copies_topic, UInt8MultiArray, HANDED_ON, self._take_copy, quiet)
+        self.create_timer(DISCOVERY_S, self._settle_inputs, callback_group=self._group)
+
+    def _take_copy(self, data: bytes, info: Mapping[str, Any]) -> None:
+        """A copy of a message that georeference_node used; nobody else's is believed."""
+        if not self._active:
+            return
+        now = time.monotonic()
+        self._copies_from.update_publishers(self.publishers_of(self._copies_topic), now)
+        if not self._copies_from.accepts_change(now):
+            if not self.losses["message_copy_stranger"]:
+                self.get_logger().warning(
+                    f"somebody else than {NODE} publishes on {self._copies_topic}: left out"
+                )
+            self.losses.add("message_copy_stranger")
+            return
+        message = deserialize(data, UInt8MultiArray)
+        copy = None if message is None else copy_from_message(message)
+        if copy is None or copy.kind not in INPUTS:
+            self.losses.add("message_copy_unreadable")
+            return
+        known = self._known.get(copy.topic)
+        if self._wanted.matches(copy.topic) and (known is None or known.kind == copy.kind):
+            self._inputs.heard(copy, now)
+
+    def _settle_inputs(self, ended: bool = False) -> None:
+        """Write what the log lacks of what georeference_node used, and name what it has more."""
+        now = time.monotonic()
+        for copy, t_ns in self._inputs.lacking(now, ended):
+            name = copy.topic.lstrip("/")
+            known = self._known.get(copy.topic) or TopicSubscription(copy.kind, False, False)
+            if self._enqueue(name, known, copy.data, t_ns, *copy.key):
+                self._recorder.account(name).copied += 1
+        for found in self._inputs.unheard(now, ended):
+            name = f"{self.get_namespace().strip('/')}/{unheard.TOPIC}".lstrip("/")
+            text = TopicSubscription(unheard.KIND, reliable=True, latched=False)
+            data = serialize_message(String(data=found.text()))
+            self._enqueue(name, text, data, self._now(), None, 0)
 
     # topics
     # ----------------------------------------------------------------------------------------------
@@ -263,7 +323,9 @@ class LoggerNode(StageNode):
             topic, message_type, qos, lambda data, info: self._take(name, known, data, info), events
         )
 
-    def _take(self, name: str, known: TopicSubscription, data: bytes, info: Any) -> None:
+    def _take(
+        self, name: str, known: TopicSubscription, data: bytes, info: Mapping[str, Any]
+    ) -> None:
         if not self._active:
             return
         account = self._recorder.account(name)
@@ -274,27 +336,32 @@ class LoggerNode(StageNode):
         if missing:
             known.gaps += missing
             account.middleware = max(known.events, known.gaps)
-        if (
-            self.queue.full()
-            or self._offered - self._taken + len(data) > self.parameters.logger.queue_bytes
+        t_ns, published_ns = self._now(), int(info.get("source_timestamp") or 0)
+        if known.kind in INPUTS and not self._inputs.logged(
+            f"/{name}", data, t_ns, published_ns, sequence
         ):
-            account.queue += 1
             return
+        self._enqueue(name, known, data, t_ns, published_ns or None, sequence)
+
+    def _enqueue(
+        self,
+        name: str,
+        known: TopicSubscription,
+        data: bytes,
+        t_ns: int,
+        published_ns: int | None,
+        sequence: int,
+    ) -> bool:
+        """Have a message written; one that finds no room is lost. Returns whether it found room."""
+        waiting = self._offered - self._taken + len(data)
+        if self.queue.full() or waiting > self.parameters.logger.queue_bytes:
+            self._recorder.account(name).queue += 1
+            return False
         self._offered += len(data)
-        self.offer(
-            "message",
-            (
-                name,
-                known,
-                data,
-                self._now(),
-                int(info.get("source_timestamp") or 0) or None,
-                sequence,
-            ),
-        )
+        return self.offer("message", (name, known, data, t_ns, published_ns, sequence))
 
     def _publisher_ids(self, name: str) -> list[bytes]:
-        return _ids(self.get_publishers_info_by_topic(f"/{name}"))
+        return self.publishers_of(f"/{name}")
 
     # the writing thread
     # -------------------------------------------------------------------------------------------
@@ -325,6 +392,8 @@ class LoggerNode(StageNode):
 
     def stop(self) -> None:
         """Write what is queued, then finish the file with its index."""
+        if self._worker is not None and self._worker.is_alive():
+            self._settle_inputs(ended=True)
         super().stop()
         if not hasattr(self, "_recorder"):
             return
@@ -341,6 +410,7 @@ class LoggerNode(StageNode):
         """Messages that are not in the log, by reason and topic."""
         total = Losses(self.losses.as_dict())
         total.merge(self._recorder.losses())
+        total.add("message_copy_no_room", self._inputs.dropped)
         total.add("message_unrepaired_file", sum(isinstance(r, OutputError) for r in self._repairs))
         return total
 
@@ -377,6 +447,8 @@ class LoggerNode(StageNode):
             lines |= {f"written_{topic}": a.written, f"written_rate_{topic}_hz": f"{rate:.1f}"}
             if a.before:
                 lines[f"before_{topic}"] = a.before
+            if a.copied:
+                lines[f"copied_{topic}"] = a.copied
         return lines
 
 

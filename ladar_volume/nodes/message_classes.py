@@ -28,3 +28,8 @@ def needed_class(kind: str) -> Any:
             value=kind,
         )
     return found
+
+
+def type_name(message_type: type[Any]) -> str:
+    """``package/msg/Name`` of a class."""
+    return f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"

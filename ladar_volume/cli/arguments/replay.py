@@ -40,6 +40,11 @@ def add_parser(subparsers: Verbs) -> None:
         metavar="N",
         help="also the volume at N moments of the recording, in result and report",
     )
+    parser.add_argument(
+        "--all-messages",
+        action="store_true",
+        help="of a log also what it had heard before georeference_node heard the driver",
+    )
     add_work_options(parser, "BAG.tiles", always=False)
     parser.set_defaults(run=work("ladar_volume.cli.replay"))
 

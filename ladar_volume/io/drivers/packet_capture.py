@@ -184,9 +184,11 @@ def turns(payloads: list[bytes]) -> list[list[int]]:
     return [part.tolist() for part in np.split(np.arange(len(payloads)), begins)]
 
 
-def open_recording(path: str | Path) -> Recording:
-    """A recording of any kind. Raises :class:`BagError` as :class:`BagReader` and
-    :class:`PacketCapture`.
+def open_recording(path: str | Path, all_messages: bool = False) -> Recording:
+    """A recording of any kind. all_messages : of a log also what the nodes had not heard. Raises
+    :class:`BagError` as :class:`BagReader` and :class:`PacketCapture`.
     """
     path = Path(path)
-    return PacketCapture(path) if path.suffix.lower() in ENDINGS else BagReader(path)
+    if path.suffix.lower() in ENDINGS:
+        return PacketCapture(path)
+    return BagReader(path, all_messages)

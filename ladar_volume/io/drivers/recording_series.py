@@ -21,10 +21,10 @@ class RecordingSeries(Recording):
     messages of one topic at the same time, as where a file is given twice.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
+    def __init__(self, paths: Sequence[Path], all_messages: bool = False) -> None:
         self._open = ExitStack()
         with ExitStack() as stack:
-            found = [stack.enter_context(open_recording(path)) for path in paths]
+            found = [stack.enter_context(open_recording(path, all_messages)) for path in paths]
             found.sort(key=lambda recording: recording.start_ns)
             self._check(found)
             self._open = stack.pop_all()
@@ -95,6 +95,10 @@ class RecordingSeries(Recording):
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def open_recordings(paths: Sequence[Path]) -> Recording:
-    """One recording, or several as one. Raises :class:`BagError` as they do."""
-    return open_recording(paths[0]) if len(paths) == 1 else RecordingSeries(paths)
+def open_recordings(paths: Sequence[Path], all_messages: bool = False) -> Recording:
+    """One recording, or several as one. all_messages : of logs also what the nodes had not heard.
+    Raises :class:`BagError` as they do.
+    """
+    if len(paths) == 1:
+        return open_recording(paths[0], all_messages)
+    return RecordingSeries(paths, all_messages)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable
 
+from ladar_volume.io.logs.unheard import TOPIC as UNHEARD
 from ladar_volume.model.parameters import LoggerParameters
 
 #: What the nodes derive on the way: large, and made again by a replay.
 DERIVED = frozenset(
     {"points_mapped", "points_filtered", "patches", "tin", "mesh", "more_data", "taken"}
+    | {"georeference_node/inputs_heard"}
 )
 #: Topics of all vehicles.
 SHARED = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics", "/rosout"})
@@ -33,6 +35,8 @@ class WantedTopics:
     def matches(self, topic: str) -> bool:
         """Whether a topic is logged: one that is named, or with ``*`` an input or a result."""
         name = topic.lstrip("/")
+        if topic.endswith(f"/{UNHEARD}"):  # what the log itself says in it: from nobody else
+            return False
         patterns = [p.lstrip("/") for p in self._parameters.topics]
         if any(fnmatch.fnmatch(name, p) for p in patterns if p != "*"):
             return True
