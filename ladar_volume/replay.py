@@ -29,7 +29,14 @@ from ladar_volume.io.sensor_messages import (
     imu_from_message,
     poses_from_message,
 )
-from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
+from ladar_volume.model.errors import (
+    BagError,
+    GroundError,
+    InputError,
+    ParameterValueError,
+    SurfaceError,
+    VolumeError,
+)
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate, Fix, Returns
@@ -62,6 +69,11 @@ class Replay:
     stations: int = 0
 
     def __post_init__(self) -> None:
+        if not (0.0 <= self.start_s < math.inf and self.duration_s > 0.0):
+            raise ParameterValueError(
+                f"a replay from {self.start_s:g} s on, for {self.duration_s:g} s: give a start of "
+                "0 or more, and a duration above 0"
+            )
         if self.poses is not None:  # the autopilot's log stands in for the recording's own poses
             self.topics = {role: topic for role, topic in self.topics.items() if role == "cloud"}
         given = (

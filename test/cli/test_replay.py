@@ -199,3 +199,9 @@ def test_the_report_shows_how_the_volume_came_about(tmp_path, capsys):
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert 'id="figure-convergence"' in page and "after 100 % of the recording" in page
     assert "boresight_roll_deg" in page
+
+
+@pytest.mark.parametrize("words", [("--start", "inf"), ("--start", "nan"), ("--duration", "-1")])
+def test_a_start_or_a_duration_that_is_none_is_refused(words, capsys, tmp_path):
+    assert main(["replay", str(BAGS / "box"), *words, "-o", str(tmp_path / "out")]) == 2
+    assert "give a start of 0 or more" in capsys.readouterr().err

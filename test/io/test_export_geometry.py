@@ -90,3 +90,8 @@ def test_intervals_are_round_and_too_many_contours_are_refused():
     tin = surface(0)
     with pytest.raises(OutputError, match="wider interval"):
         list(contours(tin.vertices, tin.triangles, 1e-3))
+    with pytest.raises(OutputError, match="wider interval"):
+        list(contours(tin.vertices, tin.triangles, 1e-320))
+    far = np.array([[0.0, 0.0, 1e300], [1.0, 0.0, -1e300], [0.0, 1.0, 0.0]])
+    with pytest.raises(OutputError, match="inf heights"):
+        list(contours(far, np.array([[0, 1, 2]], np.int32), 1e-9))

@@ -203,6 +203,7 @@ def test_shapes_that_are_no_outlines_are_refused(tmp_path, geometry, words):
             "a corner that is not below 1e\\+12",
         ),
         ("a.wkt", "POLYGON((0 0, nan 0, 1 1, 0 0))", "a corner that is not below"),
+        ("a.wkt", "POLYGON((0 0, inf 0, inf 0, 1 1, 0 0))", "a corner that is not below"),
         ("a.xyz", "1 2 3", "no outlines can be read"),
         ("a.kml", "<?a?>" * 5_000 + "<!-- b -->x", "does not begin as a .kml"),
     ],

@@ -40,14 +40,15 @@ def contours(vertices: F64, triangles: I32, interval_m: float) -> Iterator[Conto
     Raises :class:`OutputError` for more contours than a map can show.
     """
     z = vertices[:, 2]
-    first, last = math.ceil(z.min() / interval_m), math.floor(z.max() / interval_m)
-    if last - first >= MOST:
+    count = float(z.max() - z.min()) / interval_m
+    if not count < MOST:
         raise OutputError(
-            f"contours every {interval_m:g} m are {last - first + 1:,} heights: give a wider "
+            f"contours every {interval_m:g} m are {count:,.0f} heights: give a wider "
             "interval (--contour-interval)",
             reason="output_contours",
             value=interval_m,
         )
+    first, last = math.ceil(z.min() / interval_m), math.floor(z.max() / interval_m)
     corner = z[triangles]
     low, high = corner.min(axis=1), corner.max(axis=1)
     for number in range(first, last + 1):

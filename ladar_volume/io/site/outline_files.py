@@ -109,7 +109,7 @@ def rings_of(shape: BaseGeometry, path: Path) -> list[F64]:
 def ring_of(coords: Iterable[Sequence[float]]) -> F64:
     """x and y (k, 2) of a closed line, its first corner not repeated, nor any other."""
     xy = np.array([c[:2] for c in coords], dtype=np.float64)
-    keep = np.r_[True, (np.diff(xy, axis=0) != 0).any(axis=1)]
+    keep = np.r_[True, (xy[1:] != xy[:-1]).any(axis=1)]
     xy = xy[keep]
     return xy[:-1] if len(xy) > 1 and np.array_equal(xy[0], xy[-1]) else xy
 
