@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, bodies_of_survey, returns_around
 from ladar_volume.georeference.fix_steps import step_doubts
+from ladar_volume.georeference.mounting_check import mounting_doubts
 from ladar_volume.io import results
 from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
@@ -49,6 +50,9 @@ if TYPE_CHECKING:  # pymavlink is needed with an autopilot's log alone
 #: Poses of an autopilot's log this far outside the recording still bridge its ends.
 POSE_MARGIN_NS = 2_000_000_000
 
+#: A replay begins no later in the recording, s.
+LATEST_S = 1e9
+
 #: From and to which time of receipt, ns, both included.
 Span: TypeAlias = tuple[int, int]
 #: No time at all.
@@ -69,7 +73,7 @@ class Replay:
     stations: int = 0
 
     def __post_init__(self) -> None:
-        if not (0.0 <= self.start_s < math.inf and self.duration_s > 0.0):
+        if not (0.0 <= self.start_s < LATEST_S and self.duration_s > 0.0):
             raise ParameterValueError(
                 f"a replay from {self.start_s:g} s on, for {self.duration_s:g} s: give a start of "
                 "0 or more, and a duration above 0"
@@ -306,6 +310,8 @@ class Replay:
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
         doubts = self.height_doubts() + missing_messages(counted) + self.step_doubts(estimate)
+        stage = self.engine.georeferencer
+        doubts += mounting_doubts(stage.mounting_check.found(), stage.mount.R_body_laser)
         result["verdict"] = results.with_doubts(result["verdict"], doubts)
         if self.convergence:
             result["convergence"] = [

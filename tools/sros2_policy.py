@@ -65,6 +65,8 @@ def seen() -> dict[str, Names]:
                 names.setdefault(way, set()).update(topic for topic, _ in look(*ask))
             names["topics", "subscribe"].add(CLOCK)
             names["topics", "publish"].add(f"/{name}/ending")  # once it ends
+            if name == "volume_node":  # once the filter has begun for it
+                names["topics", "publish"].add("/volume_node/joined")
             if "calibration" in node.sections:  # while it is configured
                 names["topics", "subscribe"].add("/tf_static")
             if name == "georeference_node":  # where tf2_msgs is installed

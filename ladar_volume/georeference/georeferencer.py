@@ -29,6 +29,7 @@ from ladar_volume.georeference.mapping import (
     region_box,
     vehicle_box,
 )
+from ladar_volume.georeference.mounting_check import MountingCheck
 from ladar_volume.georeference.sample_admission import (
     JUMP_S,
     TimeOrder,
@@ -139,6 +140,7 @@ class Georeferencer:
         self._points: list[MappedPoints] = []
         self._states: list[PlatformStates] = []
         self.fix_steps = FixSteps()
+        self.mounting_check = MountingCheck(self.mount)
         self.cloud_lead, self.fix_lead, self.sweeps = Lead(), Lead(), SweepTimes()
 
     @property
@@ -157,6 +159,11 @@ class Georeferencer:
     def pending(self) -> int:
         """Returns that wait for the trajectory."""
         return sum(len(w.returns) for w in self._waiting)
+
+    @property
+    def mapped(self) -> int:
+        """Mapped returns that nobody has taken yet."""
+        return sum(len(points) for points in self._points)
 
     def add_fix(self, fix: Fix) -> None:
         """One GNSS fix. Refusals: fix_no_fix, fix_nan, fix_out_of_range, fix_unknown_covariance,
@@ -235,6 +242,7 @@ class Georeferencer:
         again, samples, dropped = self._restart.push(kind, int(t_ns), sample)
         if again:
             self._lose_waiting()
+            self.losses.add("point_before_restart", self.mapped)
             self._begin()
         for reason in dropped:
             if kind == "cloud":
@@ -278,6 +286,7 @@ class Georeferencer:
         first, last = int(kept.t_ns.min()), int(kept.t_ns.max())
         self.cloud_lead.add_reference_clock(last)
         self.sweeps.add(first, last)
+        self.mounting_check.add_returns(kept)
         self._tick(last)
         self._waiting.append(
             _WaitingReturns(kept, first, last, self._waiting_clock_ns, self._pose_clock_ns)
@@ -350,6 +359,7 @@ class Georeferencer:
         states = self.trajectory.decide()
         if states is not None:
             self._states.append(states)
+            self.mounting_check.add_states(states)
 
     def _map(self, cloud: _WaitingReturns, decided_ns: int | None) -> None:
         returns = cloud.returns

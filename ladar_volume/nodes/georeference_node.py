@@ -18,6 +18,7 @@ from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import Trigger
 
 from ladar_volume.georeference.georeferencer import Georeferencer
+from ladar_volume.georeference.mounting_check import mounting_doubts
 from ladar_volume.georeference.point_jacobian import total_covariance
 from ladar_volume.georeference.turn_check import Turns
 from ladar_volume.io.cloud_messages import returns_from_cloud, stamp_ns
@@ -36,6 +37,7 @@ from ladar_volume.model.records import Returns
 from ladar_volume.nodes.base import STEADY, StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
 from ladar_volume.nodes.frames.published_frames import MOVING, PublishedFrames
+from ladar_volume.nodes.inputs.first_listeners import FirstListeners
 from ladar_volume.nodes.inputs.heard_inputs import TOPIC as TOPIC_OF_COPIES
 from ladar_volume.nodes.inputs.heard_inputs import HeardInputs
 from ladar_volume.nodes.message_classes import needed_class, type_name
@@ -77,6 +79,7 @@ class GeoreferenceNode(StageNode):
         node = self.parameters.node
         self._map, self._names = node.map_frame, (node.map_frame, node.imu_frame or node.base_frame)
         self._frames = PublishedFrames(self, node)
+        self._first = FirstListeners(self)
         self._transforms = TransformPoses(node.map_frame, node.base_frame)
         self._points = self.create_publisher(PointCloud2, "points_mapped", STREAM)
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
@@ -132,6 +135,8 @@ class GeoreferenceNode(StageNode):
     def work(self, kind: str, item: Any) -> None:
         """One message: decode, hand to the stage, publish what became ready."""
         if kind == "flush":
+            self._first.there = True
+            self._publish()
             item.set_result(f"{self._sent_ns} {self.stage.pending}")
             return self.wake()
         if kind == "reset":
@@ -203,12 +208,20 @@ class GeoreferenceNode(StageNode):
         self._sent_ns = 0
         self._turns = Turns(self.stage.mount.R_body_laser)
 
+    def idle(self) -> None:
+        """Send what has waited for listeners."""
+        if not self._first.there and self.stage.mapped:
+            self._publish()
+
     def finish(self) -> None:
         """What still waits for a pose is lost, and counted."""
+        self._first.there = True
         self.stage.finish()
         self._publish()
 
     def _publish(self) -> None:
+        if not self._first.all_there(self.stage.mapped, time.monotonic()):
+            return
         if self.stage.datum is not None and not self._datum_sent:
             self._datum_out.publish(datum_message(self.stage.datum, self._newest_ns, self._map))
             self._datum_sent = True
@@ -287,7 +300,9 @@ class GeoreferenceNode(StageNode):
 
     def errors(self) -> list[str]:
         """What contradicts the configuration or another sensor."""
-        return [*self._checks.errors(), *self._frames.errors()]
+        turned = mounting_doubts(self.stage.mounting_check.found(), self.stage.mount.R_body_laser)
+        words = [doubt.text for doubt in turned.doubts]
+        return [*self._checks.errors(), *self._frames.errors(), *words]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

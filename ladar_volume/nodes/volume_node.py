@@ -17,9 +17,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
-from std_msgs.msg import Float64
+from std_msgs.msg import Empty, Float64
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
@@ -47,6 +48,7 @@ from ladar_volume.nodes.convert import (
     table_message,
     time_message,
 )
+from ladar_volume.nodes.inputs.first_listeners import JOINED
 from ladar_volume.nodes.previous_epoch import SinceEpoch
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
@@ -100,6 +102,7 @@ class VolumeNode(StageNode):
         self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
         self._newest_part, self._late = 0, Verdict()
         self._joined = False
+        self._begun: Any = None
         self._others = UpstreamNodes(self.get_namespace(), UPSTREAM)
         self._make_publishers()
         self.listen("points", PointCloud2, "points_filtered", STREAM)
@@ -290,10 +293,15 @@ class VolumeNode(StageNode):
         not yet read when it began anew refer to it.
         """
         self._joined = True
-        self._filter_reset.call_async(Trigger.Request())
+        self._filter_reset.call_async(Trigger.Request()).add_done_callback(self._say_joined)
         with self._lock:
             self._hand_over()
             self._start_over(self.stage.with_same_path(), keep_returns=True)
+
+    def _say_joined(self, _: Future) -> None:
+        """georeference_node sends from when the filter has begun for this node."""
+        if self._begun is None:
+            self._begun = self.create_publisher(Empty, JOINED, LATCHED)
 
     def finish(self) -> None:
         """The last estimate, if anything is new, said once more in the log."""

@@ -201,7 +201,7 @@ def test_the_report_shows_how_the_volume_came_about(tmp_path, capsys):
     assert "boresight_roll_deg" in page
 
 
-@pytest.mark.parametrize("words", [("--start", "inf"), ("--start", "nan"), ("--duration", "-1")])
+@pytest.mark.parametrize("words", [("--start", "1e308"), ("--start", "nan"), ("--duration", "-1")])
 def test_a_start_or_a_duration_that_is_none_is_refused(words, capsys, tmp_path):
     assert main(["replay", str(BAGS / "box"), *words, "-o", str(tmp_path / "out")]) == 2
     assert "give a start of 0 or more" in capsys.readouterr().err
