@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, bodies_of_survey, returns_around
 from ladar_volume.georeference.fix_steps import step_doubts
-from ladar_volume.georeference.mounting_check import mounting_doubts
+from ladar_volume.georeference.mounting_check import fitting_angles, mounting_doubts
 from ladar_volume.io import results
 from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
@@ -140,8 +140,14 @@ class Replay:
         except (SurfaceError, GroundError, VolumeError) as error:
             lost = sorted(self.all_losses().items(), key=lambda item: -item[1])[:4]
             why = ", ".join(f"{reason} {count}" for reason, count in lost)
+            stage = self.engine.georeferencer
+            turned = stage.mounting_check.found()
+            hint = ""
+            if turned is not None:
+                angles = fitting_angles(turned, stage.mount.R_body_laser)
+                hint = f"; the sweeps fit a scanner mounted with {angles}"
             raise type(error)(
-                f"{error} ({self.returns} returns read; not used: {why or 'nothing'})",
+                f"{error} ({self.returns} returns read; not used: {why or 'nothing'}{hint})",
                 reason=error.reason,
             ) from error
 

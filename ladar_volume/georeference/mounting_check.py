@@ -41,8 +41,9 @@ WAITING, KEPT_S, GAP_S = 30, 12.0, 0.1
 #: A point off its plane counts up to this, m.
 MOST_M = 0.2
 #: A pair tells two mountings apart that differ by this, m. So many pairs must speak for another
-#: mounting, this share of them, by this ratio of the mean distances; it must itself fit so well, m.
-TELLS_M, PAIRS_FOR, SHARE, RATIO, FITS_M = 0.01, 6, 0.85, 0.75, 0.1
+#: mounting, this share of them, by this ratio of the mean distances. (By wrong poses all mountings
+#: are as far off as a point counts.)
+TELLS_M, PAIRS_FOR, SHARE, RATIO = 0.01, 6, 0.85, 0.75
 #: Of mountings whose distances differ by less, in parts, none is the best.
 ALIKE = 0.05
 
@@ -172,7 +173,7 @@ class MountingCheck:
         """Another mounting that fits far better; None where there is none."""
         pairs = np.maximum(self._pairs, 1)
         fits = (self._pairs >= PAIRS_FOR) & (self._better >= SHARE * pairs)
-        fits &= (self._other <= RATIO * self._own) & (self._other <= FITS_M * pairs)
+        fits &= self._other <= RATIO * self._own
         if not fits.any():
             return None
         best = int(np.argmin(np.where(fits, self._all, math.inf)))
@@ -210,16 +211,22 @@ def angles_of(R: F64) -> tuple[int, int, int]:
     return tuple(180 if a == -180 else a for a in whole)  # type: ignore[return-value]
 
 
+def fitting_angles(found: TurnedMounting, R_body_laser: F64) -> str:
+    """The angles that fit, in words. R_body_laser (3, 3) : as configured."""
+    roll, pitch, yaw = angles_of(found.R_body @ R_body_laser)
+    return f"roll {roll}, pitch {pitch}, yaw {yaw} deg"
+
+
 def mounting_doubts(found: TurnedMounting | None, R_body_laser: F64) -> Verdict:
     """What is wrong and what to do. R_body_laser : as configured."""
     if found is None:
         return Verdict()
-    roll, pitch, yaw = angles_of(found.R_body @ R_body_laser)
     also = f" ({found.alike - 1} more turns fit alike)" if found.alike > 1 else ""
     words = (
         f"the sweeps lie on each other to {1e3 * found.own_m:.0f} mm as the scanner is said to be "
-        f"mounted, to {1e3 * found.other_m:.0f} mm turned to roll {roll}, pitch {pitch}, yaw {yaw} "
-        f"deg{also}, better in {found.better} of {found.pairs} pairs: set calibration.boresight_* "
-        "to that, or mend the axes of the attitude (x forward, y left, z up; yaw 0 east)"
+        f"mounted, to {1e3 * found.other_m:.0f} mm turned to "
+        f"{fitting_angles(found, R_body_laser)}{also}, better in {found.better} of {found.pairs} "
+        "pairs: set calibration.boresight_* to that, or mend the axes of the attitude (x forward, "
+        "y left, z up; yaw 0 east)"
     )
     return Verdict((Doubt("mounting_turned", words, found.own_m / max(found.other_m, 1e-9)),))

@@ -105,7 +105,7 @@ def test_axes_of_the_attitude_in_another_order_are_named():
     [
         {"ranges": over_plane},
         {"speed": (0.0, 0.0), "turn": 0.0},
-        {"seconds": 2.0},
+        {"seconds": 0.4},
     ],
 )
 def test_where_nothing_tells_nothing_is_said(how):
