@@ -45,6 +45,8 @@ NAMES = (
     "kill_logger",
     "power_cuts",
     "ctrl_c",
+    "late_driver",
+    "turned_mountings",
     "calibration",
     "bodies",
     "propagation",

@@ -118,7 +118,7 @@ BUGS = (
     Bug(
         "loss by a full queue not counted",
         "nodes/logger_node.py",
-        "account.queue += 1",
+        "self._recorder.account(name).queue += 1",
         "pass",
         "test_what_the_queue_of_the_log_does_not_take_is_counted",
     ),

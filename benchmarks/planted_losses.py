@@ -99,7 +99,7 @@ LOSSES = (
         "logger_node names written messages lost",
         "logger_node.py",
         "        self._offered += len(data)\n",
-        f"        account.queue += {FIFTH}\n        self._offered += len(data)\n",
+        f"        self._recorder.account(name).queue += {FIFTH}\n        self._offered += len(data)\n",
     ),
 )
 

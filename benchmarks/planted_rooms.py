@@ -246,8 +246,8 @@ LINES = (
     Line(
         "joint covariance twice",
         "volume/estimator.py",
-        "0.5 * (of_two(a, b)",
-        "1.0 * (of_two(a, b)",
+        "0.5 * (pair_variance(a, b)",
+        "1.0 * (pair_variance(a, b)",
         ESTIMATOR,
     ),
     Line(
@@ -402,8 +402,8 @@ LINES = (
     Line(
         "plane raised by the offset",
         "clouds/cloud_volume.py",
-        "plane = (v.plane[0] - by_m, *v.plane[1:])",
-        "plane = (v.plane[0] + by_m, *v.plane[1:])",
+        "plane = (v.plane[0] - lower_m, *v.plane[1:])",
+        "plane = (v.plane[0] + lower_m, *v.plane[1:])",
         CLOUD_VOLUME,
     ),
     Line(
@@ -537,8 +537,8 @@ LINES = (
     Line(
         "a gap counted with its end",
         "nodes/logger_node.py",
-        "known.gaps += sequence - known.sequence - 1",
-        "known.gaps += sequence - known.sequence",
+        "missing = max(sequence - self.sequence - 1, 0)",
+        "missing = max(sequence - self.sequence, 0)",
         LOGGER,
     ),
     Line(

@@ -179,24 +179,20 @@ def test_what_the_queue_of_the_log_does_not_take_is_counted():
 
     account, taken = TopicAccount(), []
     node = SimpleNamespace(
-        _active=True,
         _recorder=SimpleNamespace(account=lambda name: account),
         queue=SimpleNamespace(full=lambda: False),
         _offered=0,
         _taken=0,
-        _now=lambda: 0,
         parameters=Parameters(logger=LoggerParameters(queue_bytes=2_000_000)),
         offer=lambda kind, item: taken.append(item),
     )
     known = TopicSubscription("std_msgs/msg/String", True, False)
     for k in range(5):
-        LoggerNode._take(
-            node, "chat", known, bytes(900_000), {"publication_sequence_number": k + 1}
-        )
+        LoggerNode._enqueue(node, "chat", known, bytes(900_000), 0, None, k + 1)
     assert len(taken) == 2 and account.queue == 3 and account.middleware == 0
     node.queue.full = lambda: True
     node._taken = node._offered
-    LoggerNode._take(node, "chat", known, b"", {"publication_sequence_number": 6})
+    assert not LoggerNode._enqueue(node, "chat", known, b"", 0, None, 6)
     assert len(taken) == 2 and account.queue == 4
 
 
