@@ -99,7 +99,8 @@ LOSSES = (
         "logger_node names written messages lost",
         "logger_node.py",
         "        self._offered += len(data)\n",
-        f"        self._recorder.account(name).queue += {FIFTH}\n        self._offered += len(data)\n",
+        f"        self._recorder.account(name).queue += {FIFTH}\n"
+        "        self._offered += len(data)\n",
     ),
 )
 
