@@ -133,8 +133,8 @@ def test_lifecycle_parameters_and_a_looping_recording():
         c[1:] == configured[0][1:] for c in configured
     )
     assert all(
-        c == [configured[0][1] - 4, True] for c in cleaned
-    )  # points, platform, datum and diagnostics are gone
+        c == [configured[0][1] - 5, True] for c in cleaned
+    )  # points, platform, datum, copies for the log and diagnostics are gone
     assert seen["unconfigured"] == [True, 0.7]
     tried = seen["tried"]
     accepted = {name for name, (ok, _) in tried.items() if ok}
