@@ -102,6 +102,7 @@ def test_stragglers_of_the_pass_before_are_dropped_by_name():
     stage = Georeferencer(parameters())
     late = [e for e in events if e[0] == "cloud"][-1]
     feed(stage, [e for e in events if e is not late])
+    stage.take_points()
     begun = [e for e in events if e[0] != "cloud"][:40]
     feed(stage, [*begun[:30], late, *begun[30:]])
     assert stage.restarts == 1 and stage.losses.as_dict()["point_before_restart"] == 60
