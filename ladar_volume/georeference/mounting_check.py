@@ -100,6 +100,11 @@ class MountingCheck:
         #: that tell them apart; of each in all pairs.
         self._other, self._own, self._all = np.zeros(n), np.zeros(n), np.zeros(n)
 
+    @property
+    def told(self) -> int:
+        """Pairs that told some mounting from that as configured, the most of one."""
+        return int(self._pairs.max())
+
     def add_returns(self, returns: Returns) -> None:
         """A cloud (n returns) in the laser frame."""
         first = int(returns.t_ns.min())
@@ -140,8 +145,7 @@ class MountingCheck:
         self._last = new
         if last is not None and 0 < t_ns - last.t_ns <= 2.0 * LONGEST_S * 1e9:
             self._compare(last, new)
-            told = int(self._pairs.max())
-            pause = next(s for many, s in PAUSES if told >= many)
+            pause = next(s for many, s in PAUSES if self.told >= many)
             self._last, self._again_ns = (None if pause else new), t_ns + round(pause * 1e9)
 
     def _compare(self, old: _Placed, new: _Placed) -> None:
