@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -18,7 +19,14 @@ from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thin_by_cells
 from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
-from ladar_volume.math.nearest import nearest, nearest_index
+from ladar_volume.math.nearest import (
+    NearestIndex,
+    Some,
+    nearest,
+    nearest_distances,
+    nearest_index,
+    search_part,
+)
 from ladar_volume.math.own_axes import along_own_axes
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
@@ -39,6 +47,8 @@ MAJORITY, OWN = 0.75, 2
 PASSES, LINES = 3, 0.02
 #: Reweightings of a plane, and fewest points through which one is laid.
 STEPS, LEAST = 10, 6
+#: Points whose neighbours are held at once.
+BLOCK = 1024
 
 
 @dataclass(frozen=True)
@@ -114,50 +124,80 @@ def off_plane(
     return bool(abs(h) > limits[1] * spread and agreeing >= limits[3] * count)
 
 
+class Cloud(NamedTuple):
+    """points : (n, 3) m · flat : (n, 3) the same at height 0 · isolated : (n,) · sigma : m, of
+    their heights · limits : (5,) off where isolated, off, agreement (in sigmas), majority (share),
+    own company (count)
+    """
+
+    points: F64
+    flat: F64
+    isolated: Bool
+    sigma: float
+    limits: F64
+
+
 @kernel
-def plane_part(
-    points: F64, chosen: I64, near: I32, sigma: float, isolated: Bool, limits: F64, out: Bool
-) -> None:
-    """See :func:`plane_kernel`: a part of the points."""
-    m = near.shape[1]
+def plane_part(cloud: Cloud, chosen: I64, near: I32, out: Bool) -> None:
+    """See :func:`plane_kernel`: some of the points, whose neighbours are near (k, m), rows."""
+    m, limits, sigma = near.shape[1], cloud.limits, cloud.sigma
     d, r, size = np.empty((m, 3)), np.empty(m), np.empty(m)
     for i in range(len(chosen)):
-        p, count = points[chosen[i]], 0
+        p, count = cloud.points[chosen[i]], 0
         for j in range(m):
-            if near[i, j] >= 0 and near[i, j] != chosen[i]:
-                d[count] = points[near[i, j]] - p
+            if near[i, j] != chosen[i]:
+                for c in range(3):
+                    d[count, c] = cloud.points[near[i, j], c] - p[c]
                 size[count] = 1.0
                 count += 1
         if count < LEAST:
             continue
-        alone = isolated[chosen[i]]
+        alone = cloud.isolated[chosen[i]]
         # most points lie on any plane through those around them
         if not alone and abs(solve_plane(d, size, count)[0]) <= limits[2] * sigma:
             continue
         out[i] = off_plane(d, r, size, count, sigma, alone, limits)
 
 
+@kernel
+def search_and_ask(
+    index: NearestIndex, kept: I32, cloud: Cloud, chosen: I64, some: Some, out: Bool, far: F64
+) -> None:
+    """See :func:`plane_kernel`: a part of the points, block by block: their neighbours are not all
+    held at once.
+    """
+    near, places = np.empty((BLOCK, some.k), np.int32), np.empty((BLOCK, 3))
+    for a in range(some.first, some.end, BLOCK):
+        own = chosen[a : min(a + BLOCK, some.end)]
+        n = len(own)
+        for i in range(n):
+            places[i] = cloud.flat[own[i]]
+        search_part(index, places, Some(0, n, some.k), near, far[a : a + n])
+        for i in range(n):
+            for j in range(some.k):
+                near[i, j] = kept[near[i, j]]
+        plane_part(cloud, own, near, out[a : a + n])
+
+
 @parallel_kernel
 def plane_kernel(
-    points: F64, chosen: I64, near: I32, sigma: float, isolated: Bool, limits: F64
-) -> Bool:
-    """Which of the points ``chosen`` (k,), rows of (n, 3), are strays beside the planes of least
-    sizes through their neighbours near (k, m), rows, -1 for none. limits : off where isolated, off,
-    agreement (in sigmas), majority (share), own company (count).
+    index: NearestIndex, kept: I32, cloud: Cloud, chosen: I64, k: int, out: Bool, far: F64
+) -> None:
+    """Which of the points ``chosen`` (m,), rows, are strays beside the planes of least sizes
+    through the k points nearest to them over the plane, of those in the index, which are the rows
+    ``kept``; and how far, m, the last of these is.
     """
     n = len(chosen)
-    out = np.zeros(n, np.bool_)
     for part in numba.prange(PARTS):
-        a, b = part * n // PARTS, (part + 1) * n // PARTS
-        plane_part(points, chosen[a:b], near[a:b], sigma, isolated, limits, out[a:b])
-    return out
+        some = Some(part * n // PARTS, (part + 1) * n // PARTS, k)
+        search_and_ask(index, kept, cloud, chosen, some, out, far)
 
 
 def isolated_points(points: F64, flat: F64) -> Bool:
     """Points (n,) whose neighbours in space are far for the points around them; flat : (n, 3), the
     same points at height 0.
     """
-    distance = nearest(nearest_index(points), points, COMPANY + 1)[1]
+    distance = nearest_distances(nearest_index(points), points, COMPANY + 1)
     out = distance > ISOLATED * nearby_minimum(points, distance)
     some = np.flatnonzero(out)
     if len(some):
@@ -190,27 +230,29 @@ def nearby_minimum(points: F64, distance: F64) -> F64:
     return out
 
 
-def plane_neighbours(flat: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
-    """Rows (k, PLANE + 1), in no order, of the good points nearest to those ``chosen`` (k,) among
-    points flat (n, 3) at height 0, -1 for none; with cells (n,) m, of those that are left when one
-    point is taken from each.
+def beside_planes(cloud: Cloud, good: Bool, chosen: I64, cells: F64 | None) -> tuple[Bool, F64]:
+    """Which of the points ``chosen`` (k,), rows, are strays beside the good (n,) ones nearest to
+    them, and how far (k,), m, the last of these is; with cells (n,) m, beside those that are left
+    when one point is taken from each.
     """
     rows = np.flatnonzero(good).astype(np.int32)
-    out = np.full((len(chosen), PLANE + 1), -1, np.int32)
+    out, far = np.zeros(len(chosen), np.bool_), np.full(len(chosen), np.inf)
     groups = [(0.0, np.arange(len(chosen)))]
     if cells is not None:
         of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
         groups = [(c, np.flatnonzero(of == c)) for c in np.unique(of).tolist()]
     for cell, at in groups:
         # in their order, neighbours beside neighbours
-        kept = rows if cell == 0.0 else np.sort(rows[thin_by_cells(flat[rows], cell)])
+        kept = rows if cell == 0.0 else np.sort(rows[thin_by_cells(cloud.flat[rows], cell)])
         if len(kept) <= PLANE:
             kept = rows
         most = min(PLANE + 1, len(kept))
         if most:
-            near = nearest(nearest_index(flat[kept]), flat[chosen[at]], most)[0]
-            out[at, :most] = kept[near]
-    return out
+            index = nearest_index(cloud.flat[kept])
+            own, reach = np.zeros(len(at), np.bool_), np.empty(len(at))
+            plane_kernel(index, kept, cloud, chosen[at], most, own, reach)
+            out[at], far[at] = own, reach
+    return out, far
 
 
 def clean(points: F64) -> CleaningResult:
@@ -240,19 +282,21 @@ def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
     cells = CELL * spacings(r[:, :2]) if noise.on_lines > LINES else None
     sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r, axis=0).max()))
     limits = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
+    cloud = Cloud(r, flat, isolated, sigma, limits)
     good, chosen = np.ones(len(r), bool), everything
     for _ in range(PASSES):
-        near = plane_neighbours(flat, good & ~isolated, chosen, cells)
-        stray = chosen[plane_kernel(r, chosen, near, sigma, isolated, limits)]
+        found, far = beside_planes(cloud, good & ~isolated, chosen, cells)
+        stray = chosen[found]
         stray = stray[good[stray]]
         if not len(stray):
             break
         good[stray] = False
         # only points beside a stray see another plane the next time
-        gone = np.zeros(len(r) + 1, bool)  # the last for no neighbour
-        gone[stray] = True
-        touched = gone[near].any(axis=1) & good[chosen]
-        chosen = chosen[touched]
+        gone = nearest_index(flat[stray[~isolated[stray]]])
+        chosen, far = chosen[good[chosen]], far[good[chosen]]
+        if not len(gone.points):
+            break
+        chosen = chosen[nearest(gone, flat[chosen], 1)[1] <= far]
         if not len(chosen):
             break
     return isolated, ~good

@@ -21,6 +21,10 @@ from ladar_volume.math.normal_equations import select_kth
 
 #: Points of a group; parts of the work that are shared out to the threads.
 GROUP, CHUNKS = 16, 64
+#: Places of a block, room for the points near one, and what is more than enough for the next.
+BLOCK, ROOM, WIDER = 24, 512, 1.2
+#: Groups whose boxes hold a place that are asked for a first bound.
+HELD = 8
 #: Factor by which rounding may raise a squared distance.
 MARGIN = 1.0 + 1e-12
 
@@ -67,20 +71,44 @@ def square_to_box(box: F64, place: F64) -> float:
 
 
 @leaf_kernel
-def bound_of(index: NearestIndex, place: F64, k: int) -> float:
-    """An upper bound of the square of the distance to the k-th nearest point: the largest to k
-    consecutive points about the group that lies down the path of the nearer child.
+def farthest_about(index: NearestIndex, group: int, place: F64, k: int) -> float:
+    """Square of the distance from a place (3,) to the farthest of k consecutive points about a
+    group.
     """
-    points, boxes = index.points, index.boxes
-    node, groups, out = 1, len(boxes) // 2, 0.0
-    while node < groups:
-        left, right = boxes[2 * node], boxes[2 * node + 1]
-        node = 2 * node + (square_to_box(right, place) < square_to_box(left, place))
-    first = (node - groups) * GROUP + (GROUP - k) // 2
+    points, out = index.points, 0.0
+    first = group * GROUP + (GROUP - k) // 2
     first = max(min(first, len(points) - k), 0)
     for i in range(first, min(first + k, len(points))):
         out = max(out, square_to(points, i, place))
     return out
+
+
+@leaf_kernel
+def bound_of(index: NearestIndex, place: F64, k: int, stack: I64) -> float:
+    """An upper bound of the square of the distance to the k-th nearest point: the least of those
+    that points about the groups give whose boxes hold the place, :data:`HELD` of them at most;
+    where none does, about the group that lies down the path of the nearer child.
+    """
+    boxes, groups, out = index.boxes, len(index.boxes) // 2, np.inf
+    stack[0], top, held = 1, 1, 0
+    while top > 0 and held < HELD:
+        top -= 1
+        node = stack[top]
+        if square_to_box(boxes[node], place) > 0.0:
+            continue
+        if node < groups:
+            stack[top], stack[top + 1] = 2 * node + 1, 2 * node
+            top += 2
+            continue
+        held += 1
+        out = min(out, farthest_about(index, node - groups, place, k))
+    if held > 0:
+        return out
+    node = 1
+    while node < groups:
+        left, right = boxes[2 * node], boxes[2 * node + 1]
+        node = 2 * node + (square_to_box(right, place) < square_to_box(left, place))
+    return farthest_about(index, node - groups, place, k)
 
 
 @leaf_kernel
@@ -115,47 +143,175 @@ def collect(
     return count
 
 
-@kernel
-def search_part(
-    index: NearestIndex, places: F64, some: tuple[int, int], out: I32, far: F64
-) -> None:
-    """The k nearest points of places from some[0] to before some[1], into ``out`` (m, k) where that
-    has columns, and how far the last of them is into ``far`` (m,).
+class Some(NamedTuple):
+    """Places from ``first`` to before ``end``, and how many points near each are asked for."""
+
+    first: int
+    end: int
+    k: int
+
+
+class Gathered(NamedTuple):
+    """Room for the points about a block of places. row : (c,) of the points · at : (3, c) m, where
+    they are · far : (c,) m², of all from one place · near, square : (c,) numbers and m² of those
+    within a distance · sorted : (c,) m², to be put in order · stack : (128,) of nodes · box : (6,)
+    of the block
     """
-    k = out.shape[1]
-    rows, square, sorted_ = np.empty(64, np.int64), np.empty(64), np.empty(64)
-    stack = np.empty(128, np.int64)
-    last = np.inf
-    for i in range(some[0], some[1]):
-        moved = square_to(places, max(i - 1, 0), places[i])
-        bound = MARGIN * (math.sqrt(last) + math.sqrt(moved)) ** 2
-        if not moved < last < np.inf:
-            bound = min(bound, MARGIN * bound_of(index, places[i], k))
-        count = collect(index, places[i], bound, rows, square, stack)
-        if count > len(rows):
-            rows, square = np.empty(2 * count, np.int64), np.empty(2 * count)
-            sorted_ = np.empty(2 * count)
-            count = collect(index, places[i], bound, rows, square, stack)
-        sorted_[:count] = square[:count]
-        last = select_kth(sorted_, count, k - 1)
-        far[i] = math.sqrt(last)
-        taken = 0
-        for j in range(count):
-            if square[j] < last:
-                out[i, taken] = rows[j]
-                taken += 1
-        for j in range(count):
-            if square[j] == last and taken < k:
-                out[i, taken] = rows[j]
-                taken += 1
+
+    row: I64
+    at: F64
+    far: F64
+    near: I64
+    square: F64
+    sorted: F64
+    stack: I64
+    box: F64
+
+
+@leaf_kernel
+def square_between(one: F64, two: F64) -> float:
+    """Square of the distance between boxes (6,); infinite to one that is empty."""
+    out = 0.0
+    for c in range(3):
+        d = max(max(one[c] - two[3 + c], two[c] - one[3 + c]), 0.0)
+        out += d * d
+    return out
+
+
+@leaf_kernel
+def gather(index: NearestIndex, found: Gathered, bound: float) -> int:
+    """The points within a square of a distance from the box of a block, in their order. Returns how
+    many there are, or -1 where they are more than there is room for.
+    """
+    points, boxes, stack, box = index.points, index.boxes, found.stack, found.box
+    groups, count = len(boxes) // 2, 0
+    stack[0], top = 1, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if not square_between(boxes[node], box) <= bound:
+            continue
+        if node < groups:
+            stack[top], stack[top + 1] = 2 * node + 1, 2 * node
+            top += 2
+            continue
+        if count + GROUP > len(found.row):
+            return -1
+        for i in range((node - groups) * GROUP, min((node - groups + 1) * GROUP, len(points))):
+            found.row[count] = i
+            for c in range(3):
+                found.at[c, count] = points[i, c]
+            # one that is too far leaves its place to the next
+            count += square_to_box(box, points[i]) <= bound
+    return count
+
+
+@leaf_kernel
+def within(found: Gathered, count: int, place: F64, bound: float) -> int:
+    """How many of the points gathered lie within a square of a distance from a place (3,): these
+    stand first in ``near`` and ``square``, in their order.
+    """
+    x, y, z, n = place[0], place[1], place[2], 0
+    far, at = found.far, found.at
+    for j in range(count):
+        dx, dy, dz = at[0, j] - x, at[1, j] - y, at[2, j] - z
+        far[j] = dx * dx + dy * dy + dz * dz
+    for j in range(count):
+        found.near[n], found.square[n], found.sorted[n] = found.row[j], far[j], far[j]
+        n += far[j] <= bound
+    return n
+
+
+@leaf_kernel
+def write_nearest(rows: I64, square: F64, count: int, last: float, out: I32) -> None:
+    """Write the rows that are nearer than a squared distance into out (k,), then as many of those
+    at that distance as it has room for.
+    """
+    taken, k = 0, len(out)
+    for j in range(count):
+        if square[j] < last:
+            out[taken] = rows[j]
+            taken += 1
+    for j in range(count):
+        if square[j] == last and taken < k:
+            out[taken] = rows[j]
+            taken += 1
+
+
+@kernel
+def search_one(index: NearestIndex, place: F64, k: int, out: I32) -> float:
+    """The k nearest points of one place (3,), into out (k,), which may be empty, and the square of
+    the distance to the last of them.
+    """
+    rows, square, stack = np.empty(64, np.int64), np.empty(64), np.empty(128, np.int64)
+    bound = MARGIN * bound_of(index, place, k, stack)
+    count = collect(index, place, bound, rows, square, stack)
+    if count > len(rows):
+        rows, square = np.empty(count, np.int64), np.empty(count)
+        count = collect(index, place, bound, rows, square, stack)
+    last: float = select_kth(square[:count].copy(), count, k - 1)
+    if len(out):
+        write_nearest(rows, square, count, last, out)
+    return last
+
+
+@leaf_kernel
+def box_of(places: F64, first: int, end: int, box: F64) -> None:
+    """Write the box (6,) of the places from ``first`` to before ``end``."""
+    for c in range(3):
+        box[c], box[3 + c] = np.inf, -np.inf
+        for i in range(first, end):
+            box[c], box[3 + c] = min(box[c], places[i, c]), max(box[3 + c], places[i, c])
+
+
+@kernel
+def search_part(index: NearestIndex, places: F64, some: Some, out: I32, far: F64) -> None:
+    """The k nearest points of some places (m, 3), into ``out`` (m, k), which may have no columns,
+    and how far the last of them is into ``far`` (m,).
+
+    The points near a block of places are gathered once: those within the distance that was enough
+    for the block before, and a little more. A place for which that is not enough searches alone.
+    """
+    first, end, k, c = some.first, some.end, some.k, ROOM
+    found = Gathered(
+        np.empty(c, np.int64),
+        np.empty((3, c)),
+        np.empty(c),
+        np.empty(c, np.int64),
+        np.empty(c),
+        np.empty(c),
+        np.empty(128, np.int64),
+        np.empty(6),
+    )
+    guess = -1.0
+    for a in range(first, end, BLOCK):
+        b = min(a + BLOCK, end)
+        count, widest = -1, 0.0
+        if guess > 0.0:
+            box_of(places, a, b, found.box)
+            count = gather(index, found, guess)
+        for i in range(a, b):
+            n, last = 0, np.inf
+            if count >= k:
+                n = within(found, count, places[i], guess)
+            if n >= k:
+                last = select_kth(found.sorted, n, k - 1)
+                if out.shape[1]:
+                    write_nearest(found.near, found.square, n, last, out[i])
+            else:
+                last = search_one(index, places[i], k, out[i])
+            far[i] = math.sqrt(last)
+            widest = max(widest, last)
+        guess = WIDER * widest
 
 
 @parallel_kernel
-def nearest_kernel(index: NearestIndex, places: F64, out: I32, far: F64) -> None:
+def nearest_kernel(index: NearestIndex, places: F64, k: int, out: I32, far: F64) -> None:
     """See :func:`nearest`."""
     n = len(places)
     for chunk in numba.prange(CHUNKS):
-        search_part(index, places, (chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS), out, far)
+        some = Some(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS, k)
+        search_part(index, places, some, out, far)
 
 
 def nearest_index(points: F64) -> NearestIndex:
@@ -166,15 +322,29 @@ def nearest_index(points: F64) -> NearestIndex:
     return NearestIndex(points, group_boxes(points, groups))
 
 
+def check_count(index: NearestIndex, k: int) -> None:
+    """Raise :class:`ValueError` where the index has fewer than k points."""
+    if len(index.points) < k:
+        raise ValueError(f"{k} neighbours of {len(index.points)} points")
+
+
 def nearest(index: NearestIndex, places: F64, k: int) -> tuple[I32, F64]:
     """Rows (m, k) of the k points nearest to places (m, 3), in no order, and the distances (m,) m
     of the farthest of them. Of several at that distance the first in the index are taken.
 
     Raises :class:`ValueError` where the index has fewer than k points.
     """
-    if len(index.points) < k:
-        raise ValueError(f"{k} neighbours of {len(index.points)} points")
+    check_count(index, k)
     places = np.ascontiguousarray(places, dtype=np.float64)
     out, far = np.empty((len(places), k), np.int32), np.empty(len(places))
-    nearest_kernel(index, places, out, far)
+    nearest_kernel(index, places, k, out, far)
     return out, far
+
+
+def nearest_distances(index: NearestIndex, places: F64, k: int) -> F64:
+    """How far (m,) m the k-th nearest point of places (m, 3) is; raises as :func:`nearest` does."""
+    check_count(index, k)
+    places = np.ascontiguousarray(places, dtype=np.float64)
+    far = np.empty(len(places))
+    nearest_kernel(index, places, k, np.empty((len(places), 0), np.int32), far)
+    return far

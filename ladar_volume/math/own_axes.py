@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.kernels import kernel
+
 F64 = npt.NDArray[np.float64]
 #: Share of the mean square distance from the centroid above which the second moment shows a long
 #: direction; below it the fourth moment shows that of the sides.
@@ -31,10 +33,26 @@ def along_own_axes(xy: F64) -> F64:
     return np.ascontiguousarray(np.column_stack([turned.real, turned.imag]))
 
 
+@kernel
+def extent_of(xy: F64) -> tuple[F64, F64]:
+    """Least and greatest coordinates (2,) m of places (n, 2) m."""
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(len(xy)):
+        x, y = xy[i, 0], xy[i, 1]
+        x0, x1 = x if x < x0 else x0, x if x > x1 else x1
+        y0, y1 = y if y < y0 else y0, y if y > y1 else y1
+    return np.array([x0, y0]), np.array([x1, y1])
+
+
 def raster_of(xy: F64, cell_m: float) -> tuple[F64, npt.NDArray[np.int64]]:
     """Lower corner (2,) m and numbers of cells (2,) of a raster over places (n, 2) m, half a cell
     or less beyond the outermost, as much on either side: mirrored places have mirrored cells.
     """
-    low, high = (np.array([f(xy[:, 0]), f(xy[:, 1])]) for f in (np.min, np.max))
+    return raster_between(extent_of(xy), cell_m)
+
+
+def raster_between(extent: tuple[F64, F64], cell_m: float) -> tuple[F64, npt.NDArray[np.int64]]:
+    """:func:`raster_of` places with least and greatest coordinates (2,), m."""
+    low, high = extent
     count = np.rint((high - low) / cell_m) + 1.0
     return 0.5 * (low + high) - 0.5 * count * cell_m, count.astype(np.int64)

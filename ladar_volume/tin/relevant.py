@@ -10,7 +10,7 @@ import numpy as np
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import area_kernel, footprint_areas
+from ladar_volume.tin.full_tin import area_kernel
 
 #: How relevant triangles are told from others.
 OPTIONS = ("all", "corners", "edge", "circumcircle")
@@ -46,6 +46,28 @@ def edge_lengths(tin: Tin, mask: Bool | None = None) -> F64:
     """
     t = tin.triangles if mask is None else tin.triangles[mask]
     return np.asarray(length_kernel(tin.vertices, t))
+
+
+@kernel
+def size_kernel(vertices: F64, triangles: I32, mask: Bool) -> tuple[float, float]:
+    """Sums over the triangles in ``mask`` (m,) of their horizontal areas, m², and of their longest
+    edges, m.
+    """
+    area, longest = 0.0, 0.0
+    for t in range(len(triangles)):
+        if mask[t]:
+            a, b, c = (
+                vertices[triangles[t, 0]],
+                vertices[triangles[t, 1]],
+                vertices[triangles[t, 2]],
+            )
+            area += 0.5 * abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+            longest += max(
+                side_length(vertices, triangles, t, 0),
+                side_length(vertices, triangles, t, 1),
+                side_length(vertices, triangles, t, 2),
+            )
+    return area, longest
 
 
 @kernel
@@ -157,8 +179,8 @@ def mark_relevant(tin: Tin, mask: Bool, by: str) -> Tin:
     :class:`SurfaceError` where none is left that has an area: slivers between points in one line,
     whose area is rounding, are none.
     """
-    flat = edge_lengths(tin, mask).max(axis=1, initial=0.0).sum() * step_of(tin)
-    if not np.abs(footprint_areas(tin.vertices, tin.triangles[mask])).sum() > flat:
+    area, longest = size_kernel(tin.vertices, tin.triangles, mask)
+    if not area > longest * step_of(tin):
         raise SurfaceError(
             f"no relevant triangle is left of {len(mask)} ({by})",
             reason="surface_no_relevant",

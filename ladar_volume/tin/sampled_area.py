@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.math.own_axes import along_own_axes, raster_of
+from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
@@ -67,14 +67,15 @@ class SampledArea:
 
 
 @kernel
-def cell_numbers(xy: F64, low: F64, size: float, width: int) -> I64:
-    """The cell (n,) of places (n, 2) in a raster of square cells, ``width`` in a row, with two
-    empty ones before the first, row by row.
+def fill_cells(xy: F64, low: F64, size: float, raster: Bool) -> I32:
+    """The cell (n,) of places (n, 2) in a raster (a, b) of square cells, with two empty ones before
+    the first, row by row; these are filled.
     """
-    out = np.empty(len(xy), np.int64)
+    out, width, flat = np.empty(len(xy), np.int32), raster.shape[1], raster.reshape(-1)
     for i in range(len(xy)):
         x, y = np.floor((xy[i, 0] - low[0]) / size), np.floor((xy[i, 1] - low[1]) / size)
         out[i] = (int(x) + 2) * width + int(y) + 2
+        flat[out[i]] = True
     return out
 
 
@@ -94,15 +95,13 @@ def beside_full_blocks(raster: Bool) -> Bool:
     return out
 
 
-def in_filled_cells(xy: F64, size: float) -> Bool:
-    """Whether each of places (n, 2) m lies in, or beside, a block of three by three cells of a
-    raster that all hold one of them; cells of ``size``.
+def in_filled_cells(xy: F64, extent: tuple[F64, F64], size: float) -> Bool:
+    """Whether each of places (n, 2) m, between coordinates (2,), lies in, or beside, a block of
+    three by three cells of a raster that all hold one of them; cells of ``size``.
     """
-    low, count = raster_of(xy, size)
-    count = count + 4
-    cells = cell_numbers(xy, low, size, int(count[1]))
-    raster = np.zeros(count, bool)
-    raster.reshape(-1)[cells] = True
+    low, count = raster_between(extent, size)
+    raster = np.zeros(count + 4, bool)
+    cells = fill_cells(xy, low, size, raster)
     out: Bool = beside_full_blocks(raster).reshape(-1)[cells]
     return out
 
@@ -116,7 +115,8 @@ def spacings(xy: F64) -> F64:
     if len(xy) < FEWEST:
         return out
     xy = along_own_axes(xy)
-    extent = np.maximum([np.ptp(xy[:, 0]), np.ptp(xy[:, 1])], 1e-300)
+    low, high = extent_of(xy)
+    extent = np.maximum(high - low, 1e-300)
     some = np.unique(xy[:: max(1, len(xy) // 20_000)], axis=0)
     near = np.asarray(cKDTree(some).query(some, 2)[0])[:, 1] if len(some) > 2 else extent
     least = float(np.median(near)) * math.sqrt(len(some) / len(xy))
@@ -125,13 +125,23 @@ def spacings(xy: F64) -> F64:
     while sizes[-1] * STEP <= LARGEST * float(extent.max()):
         sizes.append(sizes[-1] * STEP)
     # a long and narrow strip has no block of three cells at its width
-    filled = [in_filled_cells(xy, size) for size in sizes]
+    filled = [in_filled_cells(xy, (low, high), size) for size in sizes]
     for k in reversed(range(len(sizes))):
         out[filled[k]] = sizes[k]
     lasting = np.full(len(xy), np.inf)
     for k in reversed(range(len(sizes) - PERSISTS)):
         lasting[filled[k] & filled[k + PERSISTS]] = sizes[k]
     return np.where(np.isfinite(lasting), lasting, out)
+
+
+@kernel
+def corner_range(values: F64, triangles: I32) -> tuple[F64, F64]:
+    """Least and greatest (m,) of values (n,) at the corners of triangles (m, 3)."""
+    low, high = np.empty(len(triangles)), np.empty(len(triangles))
+    for t in range(len(triangles)):
+        a, b, c = values[triangles[t, 0]], values[triangles[t, 1]], values[triangles[t, 2]]
+        low[t], high[t] = min(a, min(b, c)), max(a, max(b, c))
+    return low, high
 
 
 @kernel
@@ -183,7 +193,7 @@ def peel_gaps(tin: Tin, spacing_m: F64) -> Bool:
     in the mean deeper than the spacing. spacing_m : (n,) of the vertices.
     """
     # between points that show no spacing nothing stands in the way
-    at = np.where(np.isfinite(spacing_m), spacing_m, 0.0)[tin.triangles].min(axis=1)
+    at, _ = corner_range(np.where(np.isfinite(spacing_m), spacing_m, 0.0), tin.triangles)
     area = np.maximum(footprint_areas(tin.vertices, tin.triangles), 0.0)
     side = peel_kernel(tin.vertices, tin.triangles, tin.neighbours, LONG * at, area, DEEP * at)
     out: Bool = side >= 0
@@ -213,8 +223,8 @@ def sampled_area(tin: Tin) -> SampledArea:
     # a part of two or three triangles is no area that was sampled
     size = np.bincount(part[mask], minlength=1)
     mask[mask] = size[part[mask]] > FEWEST // 10
-    corner, wide = np.where(known, spacing, 0.0)[tin.triangles], circumdiameters(tin)
-    at = corner.max(axis=1)
+    wide = circumdiameters(tin)
+    least, at = corner_range(np.where(known, spacing, 0.0), tin.triangles)
     gap = mask & (wide > HOLE * at)
     number = parts_kernel(tin.neighbours, gap)
     hole = np.bincount(number[gap], area[gap], minlength=1)
@@ -231,7 +241,7 @@ def sampled_area(tin: Tin) -> SampledArea:
         int(np.count_nonzero(large)) if gap.any() else 0,
         float(area[gap].sum()),
         int(np.count_nonzero(size > FEWEST // 10)),
-        mask & (wide > BRIDGE * corner.min(axis=1)),
+        mask & (wide > BRIDGE * least),
         spacing,
     )
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from ladar_volume.model.errors import VolumeError
@@ -195,6 +194,8 @@ def offset_sums(level_m: F64, cut_a: F64, cut_b: F64, offsets_m: F64) -> F64:
             reason="volume_offset",
             value=offsets_m,
         )
+    from scipy.interpolate import CubicSpline  # slow to load, and seldom asked for
+
     spline = CubicSpline(level, a)
     return np.array([float(((spline(level[inside] + o) - b[inside]) ** 2).sum()) for o in d])
 
@@ -240,6 +241,8 @@ def sequence_offset(level_m: F64, cut_a: F64, cut_b: F64, reach_m: float) -> Off
             reason="volume_offset",
             value=reach_m,
         )
+    from scipy.interpolate import CubicSpline  # slow to load, and seldom asked for
+
     spline, z, target = CubicSpline(level, a), level[inside], b[inside]
     tried = np.linspace(-reach_m, reach_m, 41)
     start = int(np.argmin([((spline(z + d) - target) ** 2).sum() for d in tried]))
