@@ -17,13 +17,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.nearest import nearest, nearest_index
 from ladar_volume.math.own_axes import along_own_axes, raster_of
+from ladar_volume.math.plane_grid import fullest, nearest_in_grid, plane_grid
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.model.records import F64, I64
+from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.sampled_area import spacings
 
 #: Neighbours of a local fit with six coefficients, and the most points at which one is made.
@@ -34,8 +36,8 @@ FEWEST = 2 * NEIGHBOURS
 CELL = 0.5
 #: Residuals beyond this many standard deviations do not count; the variance that this cuts off.
 CUT, KEPT = 3.0, 0.9733
-#: Mean number of points in a cell of :func:`beside_kernel`.
-BESIDE = 12.0
+#: Points in the fullest cell of a grid with which it is still faster than a tree.
+FULL = 100
 #: Neighbours whose footprints are this much narrower than they are long lie on one line.
 NARROW = 0.2
 #: Cells of a raster per point that are cheaper than sorting the points.
@@ -140,51 +142,37 @@ def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
     return level / np.sqrt(1.0 + np.maximum(first[:, 0], 0.0)), narrow
 
 
-@kernel
-def beside_kernel(xy: F64, kept: I64, chosen: I64, cell_m: float) -> Bool:
-    """Which of places ``kept`` (k,), rows of (n, 2), lie within ``cell_m`` m of one of those
-    ``chosen`` (m,), along either axis, and some that lie within twice as much.
+def nearest_in_plane(xy: F64, places: F64, k: int) -> tuple[I64, F64]:
+    """Rows (m, k) of the points (n, 2), m, nearest to places (m, 2), by distance; and the distances
+    (m, k), m.
     """
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for i in chosen:
-        for c in range(2):
-            low[c], high[c] = min(low[c], xy[i, c]), max(high[c], xy[i, c])
-    a, b = int((high[0] - low[0]) / cell_m) + 3, int((high[1] - low[1]) / cell_m) + 3
-    marked = np.zeros((a, b), np.bool_)
-    for i in chosen:
-        x, y = int((xy[i, 0] - low[0]) / cell_m) + 1, int((xy[i, 1] - low[1]) / cell_m) + 1
-        marked[x - 1 : x + 2, y - 1 : y + 2] = True
-    out = np.zeros(len(kept), np.bool_)
-    for j in range(len(kept)):
-        u, v = (xy[kept[j], 0] - low[0]) / cell_m + 1.0, (xy[kept[j], 1] - low[1]) / cell_m + 1.0
-        if 0.0 <= u < a and 0.0 <= v < b:
-            out[j] = marked[int(u), int(v)]
-    return out
+    order, along = hilbert_order(xy), hilbert_order(places)
+    flat, at = (np.column_stack([p, np.zeros(len(p))]) for p in (xy[order], places[along]))
+    found = order[nearest(nearest_index(flat), at, k)[0]]
+    square = ((xy[found] - places[along, None]) ** 2).sum(axis=2)
+    first = np.lexsort((found, square), axis=1)
+    rows, far = np.empty((len(places), k), np.int64), np.empty((len(places), k))
+    rows[along] = np.take_along_axis(found, first, axis=1)
+    far[along] = np.sqrt(np.take_along_axis(square, first, axis=1))
+    return rows, far
 
 
 def neighbours(points: F64, kept: I64, chosen: I64) -> F64:
     """Of the points ``kept``, rows (k,) of (n, 3), the nearest (m, NEIGHBOURS, 3) to those
     ``chosen`` (m,), themselves not.
     """
-    xy, out = points[:, :2], np.empty((len(chosen), NEIGHBOURS, 3))
-    wide = np.ptp(xy[chosen], axis=0)
-    cell = max(math.sqrt(float(wide.prod()) * BESIDE / len(kept)), float(wide.max()) / len(kept))
-    left = np.arange(len(chosen))
-    while len(left):
-        # few are asked for: only what is beside them goes into the tree, which is made fast
-        some = kept[beside_kernel(xy, kept, chosen[left], cell)] if cell > 0.0 else kept
-        whole = len(some) == len(kept) or len(left) * BESIDE > len(kept)
-        some = kept if whole else some
-        if whole or len(some) > NEIGHBOURS:
-            tree = cKDTree(xy[some], balanced_tree=False, compact_nodes=False)
-            far, found = tree.query(xy[chosen[left]], NEIGHBOURS + 1)
-            sure = (np.asarray(far)[:, -1] <= cell) | whole
-            near = some[np.asarray(found)[sure]]
-            own = near == chosen[left[sure], None]
-            own[~own.any(axis=1), -1] = True
-            out[left[sure]] = points[near[~own].reshape(-1, NEIGHBOURS)]
-            left = left[~sure]
-        cell *= 2.0
+    k = NEIGHBOURS + 1
+    xy, places = points[kept, :2], points[chosen, :2]
+    grid = plane_grid(xy)
+    if fullest(grid) * len(chosen) > len(xy) + FULL * len(chosen):
+        found = nearest_in_plane(xy, places, k)[0]
+    else:
+        found, square = np.empty((len(chosen), k), np.int64), np.empty((len(chosen), k))
+        nearest_in_grid(grid, places, found, square)
+    near = kept[found]
+    own = near == chosen[:, None]
+    own[~own.any(axis=1), -1] = True
+    out: F64 = points[near[~own].reshape(-1, NEIGHBOURS)]
     return out
 
 

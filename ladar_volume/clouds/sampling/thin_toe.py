@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.spatial import cKDTree
 
+from ladar_volume.clouds.cloud_noise import nearest_in_plane
 from ladar_volume.model.records import F64, Bool, Tin
 from ladar_volume.tin.boundary import border
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
@@ -46,8 +46,8 @@ def volume_beyond(tin: Tin, mask: Bool, height: F64) -> float:
     body = body[:: max(1, len(body) // ENOUGH)]
     a, b = (tin.vertices[ends[:, k], :2] for k in range(2))
     part = np.linspace(0.0, 1.0, PARTS)[:, None, None]
-    tree = cKDTree(((1.0 - part) * a + part * b).reshape(-1, 2), balanced_tree=False)
-    d = np.asarray(tree.query(tin.vertices[body, :2], distance_upper_bound=band)[0])
+    line = ((1.0 - part) * a + part * b).reshape(-1, 2)
+    d = nearest_in_plane(line, tin.vertices[body, :2], 1)[1][:, 0]
     near = d < band
     if np.count_nonzero(near) < FEWEST:
         return 0.0
