@@ -5,6 +5,7 @@ surface.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -109,6 +110,12 @@ def read_surface(path: Path, arguments: argparse.Namespace, second: bool = False
     mesh = mesh_in_metres(mesh, arguments)
     cloud = PointFile(mesh.vertices, dict(mesh.columns), coordinates=mesh.at or MapCoordinates())
     return Source(path, cloud, None if arguments.no_faces else mesh)
+
+
+def with_sigmas_alone(source: Source) -> Source:
+    """A file without the columns that tell no standard deviation: they take memory."""
+    kept = {n: c for n, c in source.cloud.columns.items() if n in (*SIGMAS, "normal")}
+    return dataclasses.replace(source, cloud=dataclasses.replace(source.cloud, columns=kept))
 
 
 def frame_of(arguments: argparse.Namespace, sources: list[Source]) -> Frame | None:

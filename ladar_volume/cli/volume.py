@@ -42,6 +42,7 @@ from ladar_volume.cli.surface_options import (
     read_surface,
     surface_facts,
     surface_options,
+    with_sigmas_alone,
 )
 from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import exit_code
@@ -278,12 +279,15 @@ def base_of(task: VolumeTask, found: CutFill) -> Plane | None:
 
 
 def read_sources(arguments: argparse.Namespace) -> list[Source]:
-    """The one or two files."""
-    return [
+    """The one or two files; their columns where they go into files or a trajectory needs them."""
+    read = [
         read_surface(path, arguments, second)
         for path, second in ((arguments.cloud, False), (arguments.cloud_b, True))
         if path is not None
     ]
+    if wanted_files(arguments) is None and arguments.trajectory is None:
+        return [with_sigmas_alone(source) for source in read]
+    return read
 
 
 def make_surfaces(

@@ -19,7 +19,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.math.kernels import kernel
-from ladar_volume.math.own_axes import along_own_axes, raster_of
+from ladar_volume.math.own_axes import along_own_axes, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.locate import TriangleIndex, barycentric, locate, triangle_index
@@ -115,6 +115,29 @@ def between_points(
     return BetweenPoints(random / share, drift / share, hidden)
 
 
+@kernel
+def extent_at(xy: F64, triangles: I32) -> tuple[F64, F64]:
+    """Least and greatest coordinates (2,) m of the first corners of triangles (m, 3)."""
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for t in range(len(triangles)):
+        x, y = xy[triangles[t, 0], 0], xy[triangles[t, 0], 1]
+        x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+    return np.array([x0, y0]), np.array([x1, y1])
+
+
+@kernel
+def chosen_squares(xy: F64, triangles: I32, low: F64, side: float, every: int) -> Bool:
+    """Triangles (m,) whose first corner lies in one of ``every`` so many squares of a raster: a
+    knight's move from row to row, so that no row, column or diagonal goes without.
+    """
+    out = np.empty(len(triangles), np.bool_)
+    for t in range(len(triangles)):
+        u = np.floor((xy[triangles[t, 0], 0] - low[0]) / side)
+        v = np.floor((xy[triangles[t, 0], 1] - low[1]) / side)
+        out[t] = (int(u) + 2 * int(v)) % every == 0
+    return out
+
+
 def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, float]:
     """The areas (m,) m² of triangles within the outline, 0 for those that others stand for; and
     what part of the area is left. xy : (n, 2) m, the vertices along their own axes.
@@ -123,10 +146,9 @@ def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, flo
     side = SQUARE * float(np.median(spacing))
     if every < 2 or not math.isfinite(side):
         return inside, 1.0
-    first = xy[tin.triangles[:, 0]]
-    square = np.floor((first - raster_of(first, side)[0]) / side).astype(np.int64)
-    # a knight's move from row to row: no row, column or diagonal goes without
-    kept = np.where((square @ [1, 2]) % every == 0, inside, 0.0)
+    first = extent_at(xy, tin.triangles)
+    low, _ = raster_between(first, side)
+    kept = np.where(chosen_squares(xy, tin.triangles, low, side, every), inside, 0.0)
     return kept, float(kept.sum() / inside.sum())
 
 

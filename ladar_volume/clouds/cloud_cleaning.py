@@ -18,6 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thin_by_cells
+from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
 from ladar_volume.math.nearest import (
     NearestIndex,
@@ -237,22 +238,25 @@ def beside_planes(cloud: Cloud, good: Bool, chosen: I64, cells: F64 | None) -> t
     """
     rows = np.flatnonzero(good).astype(np.int32)
     out, far = np.zeros(len(chosen), np.bool_), np.full(len(chosen), np.inf)
-    groups = [(0.0, np.arange(len(chosen)))]
-    if cells is not None:
-        of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
-        groups = [(c, np.flatnonzero(of == c)) for c in np.unique(of).tolist()]
-    for cell, at in groups:
+    if cells is None:
+        ask_planes(cloud, rows, chosen, out, far)
+        return out, far
+    of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
+    for cell in np.unique(of).tolist():
         # in their order, neighbours beside neighbours
         kept = rows if cell == 0.0 else np.sort(rows[thin_by_cells(cloud.flat[rows], cell)])
-        if len(kept) <= PLANE:
-            kept = rows
-        most = min(PLANE + 1, len(kept))
-        if most:
-            index = nearest_index(cloud.flat[kept])
-            own, reach = np.zeros(len(at), np.bool_), np.empty(len(at))
-            plane_kernel(index, kept, cloud, chosen[at], most, own, reach)
-            out[at], far[at] = own, reach
+        at = np.flatnonzero(of == cell)
+        own, reach = out[at], far[at]
+        ask_planes(cloud, rows if len(kept) <= PLANE else kept, chosen[at], own, reach)
+        out[at], far[at] = own, reach
     return out, far
+
+
+def ask_planes(cloud: Cloud, kept: I32, chosen: I64, out: Bool, far: F64) -> None:
+    """:func:`plane_kernel` beside the points ``kept`` (k,), rows, where there are any."""
+    most = min(PLANE + 1, len(kept))
+    if most:
+        plane_kernel(nearest_index(rows_of(cloud.flat, kept)), kept, cloud, chosen, most, out, far)
 
 
 def clean(points: F64) -> CleaningResult:

@@ -17,7 +17,7 @@ from ladar_volume.clouds.cloud_noise import CloudNoise, cloud_noise
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.clouds.survey.flight_errors import FlightErrors, vertex_slopes
-from ladar_volume.math.equal_rows import distinct_rows
+from ladar_volume.math.equal_rows import distinct_rows, rows_of
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.piles import HeightError
@@ -141,9 +141,10 @@ def cloud_surface(
     cloud = finite_points(points)
     index = distinct_rows(cloud)
     copies = len(cloud) - len(index)
-    cleaned = remove_strays(cloud[index], how)
+    cloud = rows_of(cloud, index)
+    cleaned = remove_strays(cloud, how)
     strays, index = index[cleaned.strays], index[cleaned.kept]
-    cloud = cloud[index]
+    cloud = rows_of(cloud, cleaned.kept)
     cloud, index, changed = screen_points(cloud, index, screen_m, median_m)
     sigma, words = noise(
         cloud,

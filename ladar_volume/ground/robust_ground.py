@@ -83,6 +83,7 @@ def refine(
     floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
     beta, N, inside = _iterate_inliers(X, z, inside, parameters, floor)
     rows, residual = X.compress(inside, axis=0), (z - X @ beta)[inside]
+    del X  # as large as the cloud
     C_beta = N @ ((rows.T * variance[inside]) @ rows) @ N
     support = np.flatnonzero(inside).astype(np.int64)
     plane = Plane(origin, beta, C_beta, support, float(np.sqrt(np.mean(residual**2))))
@@ -144,13 +145,13 @@ def fit_ground(
         if select is None
         else np.asarray(select, dtype=np.int64)
     )
-    p = points[chosen]
-    check_points(p, variance[chosen], parameters.degree)
+    p, variance = points[chosen], variance[chosen]
+    check_points(p, variance, parameters.degree)
     step = max(1, len(p) // SEARCHED_POINTS)
-    plane = search_surface(p[::step], variance[chosen][::step], parameters, coarse_m)
+    plane = search_surface(p[::step], variance[::step], parameters, coarse_m)
     if step > 1:
-        plane = refine(p, variance[chosen], plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
-    check_surface(p, variance[chosen], plane, parameters)
+        plane = refine(p, variance, plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
+    check_surface(p, variance, plane, parameters)
     return dataclasses.replace(plane, support=chosen[plane.support])
 
 

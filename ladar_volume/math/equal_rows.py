@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.math.array_types import F64, I64
+from ladar_volume.math.array_types import F64, I32, I64
 from ladar_volume.math.kernels import kernel
 
 #: Least number of slots in the table per row.
@@ -55,3 +55,10 @@ def first_equal(values: F64) -> I64:
 def distinct_rows(values: F64) -> I64:
     """Rows (k,), ascending, of values (n, d): the first of those that are equal."""
     return np.flatnonzero(first_equal(values) == np.arange(len(values)))
+
+
+def rows_of(values: F64, rows: I32 | I64) -> F64:
+    """Those rows (k,), ascending and each once, of values (n, d), one after the other in memory:
+    the values themselves where these are all, not a copy.
+    """
+    return np.ascontiguousarray(values if len(rows) == len(values) else values[rows])

@@ -22,15 +22,17 @@ def along_own_axes(xy: F64) -> F64:
     mean of z² or, where they are about as long as wide, of -z⁴, which for a square is that of its
     sides.
     """
-    at = xy - xy.mean(axis=0)
-    z = at[:, 0] + 1j * at[:, 1]
+    middle, z = xy.mean(axis=0), np.empty(len(xy), np.complex128)
+    z.real, z.imag = xy[:, 0] - middle[0], xy[:, 1] - middle[1]
     square = z * z
     second, size = square.mean(), float(np.abs(square).mean())
     angle = np.angle(second) / 2.0
     if abs(second) <= LONG * size:
-        angle = np.angle(-(square * square).mean()) / 4.0
-    turned = z * np.exp(-1j * angle)
-    return np.ascontiguousarray(np.column_stack([turned.real, turned.imag]))
+        square *= square
+        angle = np.angle(-square.mean()) / 4.0
+    del square  # the places of a whole cloud take much memory
+    z *= np.exp(-1j * angle)
+    return z.view(np.float64).reshape(-1, 2)
 
 
 @kernel

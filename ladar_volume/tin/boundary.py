@@ -118,7 +118,7 @@ def parts_kernel(neighbours: I32, mask: Bool) -> I64:
     """Number (m,) of the part each triangle of the mask belongs to, parts joined by edges, numbered
     by their first triangle; -1 off it.
     """
-    part, stack, parts = np.full(len(mask), -1, np.int64), np.empty(len(mask), np.int64), 0
+    part, stack, parts = np.full(len(mask), -1, np.int64), np.empty(len(mask), np.int32), 0
     for first in range(len(mask)):
         if not mask[first] or part[first] >= 0:
             continue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.delaunay import finite_points, triangulate
@@ -14,7 +15,8 @@ def build_tin(points_map: F64) -> Tin:
     relevant.
 
     Of points with exactly equal x and y the first is kept; ``duplicates`` counts the others. Raises
-    :class:`SurfaceError` for NaN, fewer than three distinct points, or collinear ones.
+    :class:`SurfaceError` for NaN, fewer than three distinct points, or collinear ones. Where every
+    point is a vertex these are the points given, not a copy.
     """
     points = finite_points(points_map)
     out = triangulate(points[:, :2])
@@ -22,7 +24,7 @@ def build_tin(points_map: F64) -> Tin:
     if len(source) < len(points):
         triangles = places_in(source, len(points))[triangles]
     return Tin(
-        points[source],
+        rows_of(points, source),
         triangles,
         out.neighbours,
         np.ones(len(triangles), bool),

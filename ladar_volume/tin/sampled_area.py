@@ -223,16 +223,20 @@ def sampled_area(tin: Tin) -> SampledArea:
     # a part of two or three triangles is no area that was sampled
     size = np.bincount(part[mask], minlength=1)
     mask[mask] = size[part[mask]] > FEWEST // 10
+    del part  # what is known of every triangle takes as much memory as the cloud
     wide = circumdiameters(tin)
     least, at = corner_range(np.where(known, spacing, 0.0), tin.triangles)
+    bridged = mask & (wide > BRIDGE * least)
+    del least
     gap = mask & (wide > HOLE * at)
-    number = parts_kernel(tin.neighbours, gap)
-    hole = np.bincount(number[gap], area[gap], minlength=1)
-    mean = np.bincount(number[gap], (at**2)[gap], minlength=1) / np.maximum(
-        np.bincount(number[gap], minlength=1), 1
+    del wide
+    number = parts_kernel(tin.neighbours, gap)[gap]
+    hole = np.bincount(number, area[gap], minlength=1)
+    mean = np.bincount(number, at[gap] ** 2, minlength=1) / np.maximum(
+        np.bincount(number, minlength=1), 1
     )
     large = hole > (2.0 * HOLE) ** 2 * mean
-    gap[gap] = large[number[gap]]
+    gap[gap] = large[number]
     return SampledArea(
         mask,
         float(area[mask].sum()),
@@ -241,7 +245,7 @@ def sampled_area(tin: Tin) -> SampledArea:
         int(np.count_nonzero(large)) if gap.any() else 0,
         float(area[gap].sum()),
         int(np.count_nonzero(size > FEWEST // 10)),
-        mask & (wide > BRIDGE * least),
+        bridged,
         spacing,
     )
 
