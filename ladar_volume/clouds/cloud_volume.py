@@ -185,10 +185,12 @@ def ground_and_outline(tin: Tin, variance: F64, parameters: Parameters) -> tuple
 
 
 def solid_within(tin: Tin, base: Plane, mask: Bool, parameters: Parameters) -> Prismoids:
-    """Cut, fill and net of the triangles (m,), cut off by the polygon where one is given."""
+    """Cut, fill and net of the triangles (m,), cut off by the polygon where one is given; the last
+    column of its gradients is that by the heights.
+    """
     if parameters.volume.outline == "polygon":
         return clipped_prismoids(tin, base, polygon_of(parameters.volume), mask)
-    return prismoids(tin, base, mask)
+    return prismoids(tin, base, mask, sideways=False)
 
 
 def solid_above(
@@ -207,8 +209,8 @@ def solid_above(
     by_polygon = parameters.volume.outline == "polygon"
     found = solid_within(tin, base, mask, parameters)
     volumes, base_net = (found.cut_m3, found.fill_m3, found.area_m2), found.base_net
-    net, cut = (g[:, 2].copy() for g in (found.gradient_net, found.gradient_cut))
-    del found  # its horizontal gradients take as much memory as the cloud
+    net, cut = (g[:, -1].copy() for g in (found.gradient_net, found.gradient_cut))
+    del found
     near, curved = None, 0.0
     # a triangle that the outline cuts is left uncorrected
     whole = whole_triangles(tin, inside) if by_polygon else mask

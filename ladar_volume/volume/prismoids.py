@@ -25,7 +25,7 @@ class CutFill:
 
     cut_m3 : above it, fill_m3 : below it, both positive; net = cut − fill · area_m2 : footprint ·
     gradient_cut, gradient_fill : (n, 3) m², by the vertices of the surface in the map frame, the
-    triangulation held fixed.
+    triangulation held fixed; (n, 1) where those by the heights alone were asked for.
     """
 
     cut_m3: float
@@ -109,13 +109,13 @@ def positive_part(h: F64) -> tuple[F64, F64]:
 
 @kernel
 def prismoid_kernel(
-    vertices: F64, triangles: I32, chosen: Bool, height: F64
+    vertices: F64, triangles: I32, chosen: Bool, height: F64, d: int
 ) -> tuple[F64, F64, F64]:
     """Cut, fill, footprint (3,) of the ``chosen`` triangles (m,) over vertices (n, 3) that stand so
-    high (n,) above a base, and the gradients (n, 3) of cut and net volume by the vertices, the base
-    held fixed at each.
+    high (n,) above a base, and the gradients of cut and net volume by the vertices (n, d), by their
+    heights alone where d is 1 and not 3, the base held fixed at each.
     """
-    cut, net, total = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3)), np.zeros(3)
+    cut, net, total = np.zeros((len(vertices), d)), np.zeros((len(vertices), d)), np.zeros(3)
     h, below, slope, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for t in range(len(triangles)):
         if not chosen[t]:
@@ -123,33 +123,33 @@ def prismoid_kernel(
         for c in range(3):
             h[c] = height[triangles[t, c]]
             below[c] = -h[c]
-        a, b, d = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        area = 0.5 * ((b[0] - a[0]) * (d[1] - a[1]) - (b[1] - a[1]) * (d[0] - a[0]))
+        a, b, e = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        area = 0.5 * ((b[0] - a[0]) * (e[1] - a[1]) - (b[1] - a[1]) * (e[0] - a[0]))
         up, whole = mean_above(h, slope), (h[0] + h[1] + h[2]) / 3.0
         total[0] += area * up
         total[1] += area * mean_above(below, other)
         total[2] += area
         for c in range(3):
-            v, one, two = (
-                triangles[t, c],
-                vertices[triangles[t, (c + 1) % 3]],
-                vertices[triangles[t, (c + 2) % 3]],
-            )
+            v = triangles[t, c]
+            cut[v, d - 1] += slope[c] * area
+            net[v, d - 1] += area / 3.0
+            if d == 1:
+                continue
+            one, two = vertices[triangles[t, (c + 1) % 3]], vertices[triangles[t, (c + 2) % 3]]
             east, north = (
                 0.5 * (one[1] - two[1]),
                 0.5 * (two[0] - one[0]),
             )  # of the area, by the corner's x and y
             cut[v, 0] += up * east
             cut[v, 1] += up * north
-            cut[v, 2] += slope[c] * area
             net[v, 0] += whole * east
             net[v, 1] += whole * north
-            net[v, 2] += area / 3.0
     return total, cut, net
 
 
-def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
-    """Volumes of the triangles in ``mask`` (m,) (default: the relevant ones) above ``base``.
+def prismoids(tin: Tin, base: Plane, mask: Bool | None = None, sideways: bool = True) -> Prismoids:
+    """Volumes of the triangles in ``mask`` (m,) (default: the relevant ones) above ``base``; unless
+    ``sideways``, the gradients are those by the heights alone, (n, 1).
 
     Raises :class:`VolumeError` where no triangle is chosen.
     """
@@ -159,12 +159,14 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
     v, xy = tin.vertices, tin.vertices[:, :2]
     X = design(xy, base.origin_xy, degree_of(base))
     (cut, fill, area), g_cut, g_net = prismoid_kernel(
-        v, tin.triangles, chosen, v[:, 2] - X @ base.beta
+        v, tin.triangles, chosen, v[:, 2] - X @ base.beta, 3 if sideways else 1
     )
-    slope_base = base_gradient(base, xy)
-    for gradient in (g_cut, g_net):
-        gradient[:, :2] -= gradient[:, 2:] * slope_base
-    b_cut, b_net = -(X.T @ g_cut[:, 2]), -(X.T @ g_net[:, 2])
+    b_cut, b_net = -(X.T @ g_cut[:, -1]), -(X.T @ g_net[:, -1])
+    del X  # as large as the cloud
+    if sideways:
+        slope_base = base_gradient(base, xy)
+        for gradient in (g_cut, g_net):
+            gradient[:, :2] -= gradient[:, 2:] * slope_base
     # fill = cut − net: at a height of exactly zero, where neither has a derivative, the net volume
     # keeps its own
     return Prismoids(
