@@ -135,3 +135,35 @@ def test_distances_are_those_of_the_planes_in_sight():
     assert distance_from_planes(points * 1.01, rows, sweep) > 0.05
     assert distance_from_planes(points * 9.0, rows, sweep) == pytest.approx(0.2)  # out of reach
     assert np.isnan(distance_from_planes(points[:100], rows[:100], sweep))
+
+
+def test_sweeps_without_poses_around_them_are_left_out():
+    """States too far apart, or of two segments."""
+
+    def states(t_s, segment):
+        t, n = (np.array(t_s) * NANO).astype(np.int64), len(t_s)
+        q = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+        p = np.column_stack([np.array(t_s), np.zeros(n), np.full(n, 1.5)])
+        zero = np.zeros((n, 3))
+        return PlatformStates(t, p, q, zero, zero, np.zeros((n, 6, 6)), np.array(segment))
+
+    d, ring = directions()
+
+    def sweep(t_s):
+        far = in_room(np.array([t_s, 0.0, 1.5]), d)
+        times = np.full(len(ring), round(t_s * NANO))
+        return Returns(times, far[:, None] * d, ring.astype(np.uint16), np.ones(len(ring)))
+
+    def told(t_s, segment):
+        half_turn = rotation_xyz(0.0, 0.0, np.pi)
+        check = MountingCheck(Mounting(half_turn, np.zeros(3), np.zeros(3), 0))
+        for t in (1.05, 1.35):
+            check.add_returns(sweep(t))
+        check.add_states(states(t_s, segment))
+        return check.told
+
+    assert told([1.0, 1.1, 1.3, 1.4], [0, 0, 0, 0]) == 1
+    assert told([1.0, 1.1, 1.29, 1.4], [0, 0, 0, 0]) == 0
+    assert told([1.0, 1.1, 1.3, 1.4], [0, 0, 0, 1]) == 0
+    assert told([1.06, 1.1, 1.3, 1.4], [0, 0, 0, 0]) == 0
+    assert told([1.0, 1.1, 1.3, 1.34], [0, 0, 0, 0]) == 0

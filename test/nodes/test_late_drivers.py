@@ -11,9 +11,10 @@ from own_process import result_of
 
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.logs.unheard import Unheard, UnheardMessages, unheard_from_text
-from ladar_volume.nodes.inputs.heard_inputs import WAIT_S, HeardInputs
+from ladar_volume.nodes.inputs.heard_inputs import WAIT_S, WINDOW_BYTES, WINDOW_S, HeardInputs
 from ladar_volume.nodes.inputs.input_copies import InputCopy, copy_from_message
-from ladar_volume.nodes.inputs.logged_inputs import LoggedInputs
+from ladar_volume.nodes.inputs.logged_inputs import MEMORY_S, LoggedInputs
+from ladar_volume.nodes.inputs.logged_inputs import WAIT_S as LATE_S
 from ladar_volume.nodes.inputs.publisher_streams import PublisherStreams
 
 NANO = 1_000_000_000
@@ -338,3 +339,50 @@ def test_copies_of_a_stranger_do_not_get_into_the_log(tmp_path):
     false = hashlib.sha256(b"false" * 9).hexdigest()
     assert false not in hashes(log, all_messages=True)["imu"]
     assert json.dumps(false) not in Path(log).read_bytes().decode("latin1")
+
+
+def heard(node, k, now_s, size=1, topic="/imu/data"):
+    """Have a node use message k."""
+    info = {"publication_sequence_number": k, "source_timestamp": NANO + k}
+    node.take(topic, KIND, bytes(size), info, NANO, now_s)
+
+
+def test_copies_are_made_for_a_while_after_a_publisher_begins_and_up_to_a_size():
+    there = [b"a"]
+    node = HeardInputs(lambda topic: there)
+    for k, now_s in ((1, 0.0), (2, WINDOW_S), (3, WINDOW_S + 0.01)):
+        heard(node, k, now_s)
+    assert [(c.sequence, c.begins) for c in node.due(True, 5.0)] == [(1, "topic"), (2, "")]
+    there = [b"b"]
+    heard(node, 1, 9.0)
+    heard(node, 2, 9.0 + WINDOW_S)
+    heard(node, 1, 9.0, topic="/gnss/fix")
+    begun = [(c.topic, c.sequence, c.begins) for c in node.due(True, 9.0)]
+    assert begun == [("/imu/data", 1, "publisher"), ("/imu/data", 2, ""), ("/gnss/fix", 1, "topic")]
+    there = [b"c"]
+    for k in range(1, 5):
+        heard(node, k, 20.0, WINDOW_BYTES // 2)
+    assert [c.sequence for c in node.due(True, 20.0)] == [1, 2, 3]
+
+
+def test_a_copy_waits_for_the_logs_own_message_and_stands_before_what_came_later():
+    logged = LoggedInputs(lambda topic: [b"a"])
+    copy = InputCopy("/p", KIND, b"1", NANO, 1, 7 * NANO)
+    logged.heard(copy, 0.0)
+    assert not list(logged.lacking(LATE_S))  # its own message may still come
+    assert logged.logged("/p", b"2", 5 * NANO, NANO + 9, 2)
+    assert list(logged.lacking(0.1)) == [(copy, 5 * NANO - 1)]
+    assert not logged.logged("/p", b"1", 6 * NANO, NANO, 1)  # it came after all: once is enough
+    last = InputCopy("/p", KIND, b"3", NANO + 20, 3, 8 * NANO)
+    logged.heard(last, 1.0)
+    assert not list(logged.lacking(1.0 + LATE_S))
+    assert list(logged.lacking(1.01 + LATE_S)) == [(last, 8 * NANO)]
+
+
+def test_what_is_old_is_forgotten():
+    logged = LoggedInputs(lambda topic: [b"a"])
+    first, second = NANO, NANO + round((MEMORY_S + 1.0) * NANO)
+    assert logged.logged("/p", b"1", first, first, 1)
+    assert logged.logged("/p", b"2", second, second, 2)
+    assert logged.logged("/p", b"1", second, first, 1)  # not known any more
+    assert not logged.logged("/p", b"2", second, second, 2)
