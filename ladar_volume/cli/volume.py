@@ -52,6 +52,7 @@ from ladar_volume.clouds.cloud_levels import (
     level_list,
     sequence,
 )
+from ladar_volume.clouds.cloud_objects import without_objects
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import (
     CloudVolume,
@@ -61,6 +62,7 @@ from ladar_volume.clouds.cloud_volume import (
 )
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
+from ladar_volume.clouds.sampling.height_axis import check_height_axis
 from ladar_volume.clouds.sampling.site_lengths import (
     length_facts,
     named_lengths,
@@ -77,7 +79,7 @@ from ladar_volume.clouds.volume_verdict import (
     volume_with_verdict,
 )
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.io.results import json_text
+from ladar_volume.io.results import MOST_OBJECTS, json_text
 from ladar_volume.io.site.outline_files import Outlines
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
@@ -228,6 +230,9 @@ def result_of(
     if task.arguments.frame == "scan":
         progress("turning into the scan frame")
     frame = frame_of(task.arguments, sources)
+    for source in sources if frame is None else []:
+        if source.mesh is None:
+            check_height_axis(source.cloud.r)
     outlines = outlines_of(task.arguments, sources)
     task = dataclasses.replace(task, frame=frame, outlines=outlines, progress=progress)
     flown = flown_of(task.arguments, sources, task.flight)
@@ -249,6 +254,7 @@ def result_of(
     }
     facts |= {
         "clean": clean,
+        "objects": [dataclasses.asdict(one) for one in surfaces[0].objects[:MOST_OBJECTS]],
         "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
         "frame": frame_facts(frame),
         "options": option_facts(task.options),
@@ -300,8 +306,19 @@ def make_surfaces(
     for source, sigma in zip(sources, sigmas, strict=False):
         progress(f"triangulating {len(source.cloud.r):,} points of {source.path.name}")
         made = make_surface(a, source, task.options, task.frame, sigma)
+        made = cleared_surface(task, made) if len(sources) == 1 else made
         surfaces.append(dataclasses.replace(made, shared_errors=task.shared_errors))
     return surfaces
+
+
+def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
+    """The surface without what stands on it, where the ground and the main body are looked for."""
+    v, a = task.parameters.volume, task.arguments
+    looked_for = task.base == "ground" and v.outline == "auto" and a.piles is None
+    if not looked_for or a.clean == "off" or v.objects != "remove":
+        return surface
+    task.progress("what stands on the surface")
+    return without_objects(surface, with_site_lengths(task, surface).parameters, task.options)
 
 
 def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:

@@ -21,7 +21,7 @@ from ladar_volume.math.equal_rows import distinct_rows, rows_of
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.piles import HeightError
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, StandingObject
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.delaunay import finite_points
@@ -40,7 +40,8 @@ class CloudSurface:
     points left out because another has the same coordinates · given_faces : the faces of a mesh
     that it is, None for a cloud · doubts : what makes it doubtful · shared_errors : errors that
     neighbouring heights share · flight : calibration and navigation of the points, where their
-    trajectory is known
+    trajectory is known · standing : (k,) rows of the cloud that stand on its surface, left out ·
+    objects : what they are
     """
 
     points: F64
@@ -55,6 +56,8 @@ class CloudSurface:
     doubts: tuple[Doubt, ...] = ()
     shared_errors: tuple[HeightError, ...] = ()
     flight: FlightErrors | None = None
+    standing: I64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    objects: tuple[StandingObject, ...] = ()
 
     @property
     def vertex_variance(self) -> F64:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
+from ladar_volume.clouds.cloud_objects import STEP
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, has_selected_vertices
 from ladar_volume.clouds.ground_cover import (
@@ -23,6 +24,7 @@ from ladar_volume.clouds.ground_cover import (
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
+from ladar_volume.clouds.survey.flight_errors import vertex_slopes
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane
@@ -31,7 +33,10 @@ from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
+from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.standing_objects import object_doubts
+from ladar_volume.volume.field_checks.steep_faces import wall_m6
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
@@ -333,12 +338,43 @@ def volume_with_verdict(
     if by_body:
         faces = faces_around(surface, base, inside, rise)
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
-        doubts += below_base(found)
+        doubts += below_base(found) + object_doubts(surface.objects, found.sigma_m3)
+        found = with_missing(found, surface, base, inside, faces, doubts, parameters)
     found = with_readings(found, readings)
     if readings is not None:
         found, more = with_growth(found, surface, base, inside, rise)
         doubts += more
     return found, Verdict(tuple(doubts))
+
+
+def with_missing(
+    volume: CloudVolume,
+    surface: CloudSurface,
+    base: Plane,
+    inside: F64,
+    on_face: Bool,
+    doubts: list[Doubt],
+    parameters: Parameters,
+) -> CloudVolume:
+    """The volume with what a cut took of the body and what walls may hide or add in sigma, where
+    they are doubted. on_face : (n,) vertices on steep faces
+    """
+    tin, lines = surface.representation.tin, dict[str, float]()
+    doubted = {doubt.name: doubt.value or 0.0 for doubt in doubts}
+    if "cut" in doubted:
+        slope = vertex_slopes(tin)
+        normal = np.column_stack([-slope, np.ones(len(slope))])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        size = abs(volume.cut_m3 - volume.fill_m3)
+        lines["cut"] = cut_m6(tin, base, inside, normal, size, parameters)
+    if "wall" in doubted or "object" in doubted:
+        faces = (inside > 0.0) & on_face[tin.triangles].any(axis=1)
+        wall = wall_m6(tin, faces, STEP * parameters.volume.object_height_m)
+        # no more of a thing can be left, or be missing, than what was taken out
+        most = math.inf if "wall" in doubted else doubted["object"] ** 2
+        lines["wall"] = min(wall, most)
+    lines = {name: variance for name, variance in lines.items() if variance > 0.0}
+    return with_lines(volume, lines) if lines else volume
 
 
 def faces_around(surface: CloudSurface, base: Plane, inside: F64, rise_m: float) -> Bool:

@@ -13,6 +13,7 @@ from ladar_volume.cli.inputs.mesh_source import mesh_words
 from ladar_volume.cli.inputs.reading import add_reading_rows
 from ladar_volume.cli.surface_options import add_surface_rows
 from ladar_volume.cli.tables.pile_table import show_piles
+from ladar_volume.cli.tables.result_table import object_rows
 from ladar_volume.cli.verdict_lines import add_verdict_rows
 
 #: Most bodies whose place is printed.
@@ -28,6 +29,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     for each in facts["surfaces"]:
         _add_source_rows(table, each)
     _add_stray_rows(table, facts["clean"])
+    object_rows(table, facts)
     add_verdict_rows(table, facts["verdict"])
     console.print(table)
     if "piles" in facts:

@@ -329,9 +329,9 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     """
     doubted = {doubt.name: doubt.value or 0.0 for doubt in volume.verdict.doubts}
     if "wall" in doubted:
-        return with_line(volume, "wall", wall_m6(tin, part))
+        return with_line(volume, "wall", wall_m6(tin, part > 0.0))
     if "object" in doubted:  # no more of it can be left, or be missing, than what was taken out
-        volume = with_line(volume, "wall", min(wall_m6(tin, part), doubted["object"] ** 2))
+        volume = with_line(volume, "wall", min(wall_m6(tin, part > 0.0), doubted["object"] ** 2))
     found = steep_faces(tin, part, on_face)
     if found is None or found.sigma_m3 < NEGLIGIBLE * volume.sigma_m3:
         return volume

@@ -76,18 +76,18 @@ def any_step(triangles: I32, vertices: F64, step_m: float, steep: float) -> bool
     return False
 
 
-def surface_steps(tin: Tin, longest_m: float) -> Steps | None:
+def surface_steps(tin: Tin, longest_m: float, step_m: float = STEP_M) -> Steps | None:
     """Where the surface is cut apart, and the parts; None where it nowhere is. longest_m : of edges
-    that join.
+    that join · step_m : least height of a step
     """
     t, r = tin.triangles, tin.vertices
-    if not any_step(t, r, STEP_M, STEEP):
+    if not any_step(t, r, step_m, STEEP):
         return None
     one = np.concatenate([t[:, 0], t[:, 1], t[:, 2]])
     two = np.concatenate([t[:, 1], t[:, 2], t[:, 0]])
     rise, d = r[two, 2] - r[one, 2], r[two, :2] - r[one, :2]
     length = np.hypot(d[:, 0], d[:, 1])
-    steep = (np.abs(rise) > STEP_M) & (np.abs(rise) > STEEP * length)
+    steep = (np.abs(rise) > step_m) & (np.abs(rise) > STEEP * length)
     joins = ~steep & (length <= longest_m)
     label = parts(len(r), one[joins], two[joins])
     up = rise[steep] > 0.0
@@ -112,14 +112,17 @@ def standing_parts(steps: Steps, own: Bool) -> Bool:
     return found
 
 
-def standing_vertices(tin: Tin, base: Plane, inside: Bool, p: VolumeParameters) -> Bool:
-    """Vertices (n,) of what stands on the surface. inside : (m,) triangles that count.
+def standing_vertices(
+    tin: Tin, base: Plane, inside: Bool, p: VolumeParameters, step_m: float = STEP_M
+) -> Bool:
+    """Vertices (n,) of what stands on the surface. inside : (m,) triangles that count · step_m :
+    least height of a step
 
     None where the main body itself stands on steep faces, as a box does, where more steps lie
     within the ground's own part than below what would go, and where most of the outline would go.
     """
     none = np.zeros(len(tin.vertices), np.bool_)
-    steps = surface_steps(tin, p.max_edge_m)
+    steps = surface_steps(tin, p.max_edge_m, step_m)
     if steps is None:
         return none
     own = np.zeros(len(steps.size), np.bool_)

@@ -52,13 +52,12 @@ def face_areas(tin: Tin, rows: I64) -> tuple[F64, F64]:
     return np.linalg.norm(n, axis=1), np.asarray(n[:, 2])
 
 
-def wall_m6(tin: Tin, inside_m2: F64) -> float:
-    """Variance of the volume, m⁶, where a wall stands in an outline, inside_m2 (m,) m² of each
-    triangle: what is hidden behind its faces, and how much of it is counted, is known to
-    :data:`WALL_M`.
+def wall_m6(tin: Tin, inside: Bool, wall_m: float = WALL_M) -> float:
+    """Variance of the volume, m⁶, where a wall stands among the triangles ``inside`` (m,): what is
+    hidden behind its faces, and how much of it is counted, is known to ``wall_m``.
     """
-    area, flat = face_areas(tin, np.flatnonzero(inside_m2 > 0.0))
-    return float((WALL_M * area[flat < FACE * area].sum()) ** 2)
+    area, flat = face_areas(tin, np.flatnonzero(inside))
+    return float((wall_m * area[flat < FACE * area].sum()) ** 2)
 
 
 def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:

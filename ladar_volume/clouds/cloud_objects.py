@@ -1,0 +1,143 @@
+"""A point cloud without what stands on its surface: machines, trees, wires, fences, people.
+
+They are told as in a survey (:mod:`~ladar_volume.volume.field_checks.standing_objects`): parts of
+the surface that lie above nearly all of the steep steps around them. A dense cloud has points on
+the faces themselves, so that no single edge is a step: it is thinned for this to one point a cell
+as wide as a step is high. What the thinned cloud shows is then looked up in the whole: points
+beside such a part, and well above the surface that is left.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_noise import thin_by_cells
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.cloud_volume import ground_and_outline
+from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.represent import represent
+from ladar_volume.tin.sampled_area import sampled_without_isolated, spacings
+from ladar_volume.volume.field_checks.standing_objects import (
+    STEEP,
+    any_step,
+    objects_of,
+    rise_above,
+    standing_vertices,
+)
+
+Objects = tuple[StandingObject, ...]
+
+#: Steps are so many times as high as the least body, and than so many standard deviations of one
+#: height.
+STEP, CLEAR = 5.0 / 3.0, 8.0
+#: Points beside a part that stands are of it where they are above the surface that is left by this
+#: share of a step.
+HIGHER = 0.5
+#: Edges that join reach over so many spacings.
+REACH = 4.0
+#: Rounds: what leans on a thing is seen when that is gone.
+ROUNDS = 3
+
+
+def thinned_tin(points: F64, cell_m: float, spacing_m: float) -> Tin:
+    """The sampled surface of points (n, 3) m, one a cell; of all where they lie farther apart.
+    ``source`` numbers the points.
+    """
+    rows = np.arange(len(points), dtype=np.int64)
+    if spacing_m < cell_m:
+        rows = np.sort(thin_by_cells(points, cell_m))
+    tin, _ = sampled_without_isolated(build_tin(points[rows]))
+    return dataclasses.replace(tin, source=rows[tin.source])
+
+
+def beside(xy: F64, there: F64, cell_m: float) -> I64:
+    """Rows (k,) of places xy (n, 2) m in or beside the square cells that places ``there`` (m, 2) m
+    lie in.
+    """
+    low = there.min(axis=0)
+    wide = int((there - low).max() // cell_m) + 5
+    around = np.array([i * wide + j for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+    def cell(places: F64) -> I64:
+        at = np.floor((places - low) / cell_m) + 2.0
+        at = np.where((at < 0.0) | (at >= wide), 0.0, at)  # no cell there is marked
+        return np.asarray(at[:, 0] * wide + at[:, 1], dtype=np.int64)
+
+    marked = np.unique(cell(there)[:, None] + around)
+    own = cell(xy)
+    found = np.minimum(np.searchsorted(marked, own), len(marked) - 1)
+    return np.flatnonzero(marked[found] == own)
+
+
+def standing_points(points: F64, tin: Tin, standing: Bool, step_m: float, cell_m: float) -> Bool:
+    """Which points (n,) of points (n, 3) m belong to the vertices ``standing`` (k,) of a thinned
+    surface: those themselves, and what is beside them and above the surface of the others.
+    """
+    out = np.zeros(len(points), np.bool_)
+    out[tin.source[standing]] = True
+    near = beside(points[:, :2], tin.vertices[standing, :2], cell_m)
+    out[near[rise_above(points[near], tin.vertices[~standing]) > HIGHER * step_m]] = True
+    return out
+
+
+def rebuilt(
+    surface: CloudSurface, kept: I64, options: SurfaceParameters, objects: Objects
+) -> CloudSurface:
+    """The surface of its points ``kept`` (k,), without objects."""
+    if surface.sigma_m is None:
+        raise ValueError("a surface without noise")
+    points, sigma = surface.points[kept], surface.sigma_m[kept]
+    standing = np.setdiff1d(surface.index, surface.index[kept])
+    return dataclasses.replace(
+        surface,
+        points=points,
+        index=surface.index[kept],
+        sigma_m=sigma,
+        representation=represent(points, options, sigma),
+        standing=standing,
+        objects=objects,
+    )
+
+
+def without_objects(
+    surface: CloudSurface, parameters: Parameters, options: SurfaceParameters
+) -> CloudSurface:
+    """The surface without what stands on it, which it names; itself where nothing does, or where
+    nothing would be left.
+    """
+    made = surface.representation
+    if surface.sigma_m is None or surface.given_faces is not None:
+        return surface
+    sigma = float(np.median(surface.sigma_m))
+    step = max(STEP * parameters.volume.object_height_m, CLEAR * sigma)
+    area = made.sampled_area
+    at = spacings(surface.points[:, :2]) if area is None else area.spacings_m
+    spacing = float(np.median(at))
+    if spacing >= step and not any_step(made.tin.triangles, made.tin.vertices, step, STEEP):
+        return surface
+    longest = max(parameters.volume.max_edge_m, REACH * spacing)
+    volume = dataclasses.replace(parameters.volume, max_edge_m=longest)
+    kept, found = np.arange(len(surface.points)), list[StandingObject]()
+    for _ in range(ROUNDS):
+        points = surface.points[kept]
+        try:
+            tin = thinned_tin(points, step, spacing)
+            if not any_step(tin.triangles, tin.vertices, step, STEEP):
+                break
+            base, inside = ground_and_outline(tin, np.full(len(tin.vertices), sigma**2), parameters)
+            standing = standing_vertices(tin, base, inside > 0, volume, step)
+        except (GroundError, SurfaceError, VolumeError):  # no ground: the volume will say so
+            break
+        if not standing.any():
+            break
+        found += objects_of(tin, standing, standing, inside > 0)
+        kept = kept[~standing_points(points, tin, standing, step, max(step, spacing))]
+    if not found:
+        return surface
+    return rebuilt(surface, kept, options, tuple(sorted(found, key=lambda one: -one.volume_m3)))
