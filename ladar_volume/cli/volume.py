@@ -312,13 +312,20 @@ def make_surfaces(
 
 
 def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
-    """The surface without what stands on it, where the ground and the main body are looked for."""
+    """The surface without what stands on it, where the ground and the main body are looked for, or
+    outlines are given.
+    """
     v, a = task.parameters.volume, task.arguments
-    looked_for = task.base == "ground" and v.outline == "auto" and a.piles is None
-    if not looked_for or a.clean == "off" or v.objects != "remove":
+    if a.clean == "off" or v.objects != "remove":
+        return surface
+    rings: list[F64] = []
+    if task.outlines is not None:
+        rings = [check_polygon(pile.ring) for pile in task.outlines.piles]
+    elif task.base != "ground" or v.outline != "auto" or a.piles is not None:
         return surface
     task.progress("what stands on the surface")
-    return without_objects(surface, with_site_lengths(task, surface).parameters, task.options)
+    fitted = with_site_lengths(task, surface).parameters
+    return without_objects(surface, fitted, task.options, rings)
 
 
 def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:

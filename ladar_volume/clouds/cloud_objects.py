@@ -10,6 +10,7 @@ beside such a part, and well above the surface that is left.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,16 +21,19 @@ from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.full_tin import build_tin, vertex_mask
 from ladar_volume.tin.represent import represent
 from ladar_volume.tin.sampled_area import sampled_without_isolated, spacings
+from ladar_volume.volume.base import ZERO
 from ladar_volume.volume.field_checks.standing_objects import (
+    MOST,
     STEEP,
     any_step,
     objects_of,
     rise_above,
     standing_vertices,
 )
+from ladar_volume.volume.polygon import areas_inside
 
 Objects = tuple[StandingObject, ...]
 
@@ -105,11 +109,36 @@ def rebuilt(
     )
 
 
+def standing_in(
+    tin: Tin, rings: Sequence[F64], sigma_m: float, parameters: Parameters, step_m: float
+) -> tuple[Bool, Bool]:
+    """Vertices (n,) that stand on a surface, and triangles (m,) in its outlines: the main body's,
+    or ``rings`` (k, 2) m that are given. What fills most of a ring is the body it was drawn for.
+    """
+    if not len(rings):
+        base, area = ground_and_outline(tin, np.full(len(tin.vertices), sigma_m**2), parameters)
+        return standing_vertices(tin, base, area > 0.0, parameters.volume, step_m), area > 0.0
+    volume = dataclasses.replace(parameters.volume, outline="all")
+    every = np.ones(len(tin.triangles), np.bool_)
+    standing = standing_vertices(tin, ZERO, every, volume, step_m)
+    within = np.zeros(len(every), np.bool_)
+    for ring in rings:
+        own = areas_inside(tin, ring)
+        mask = own > 0.0
+        within |= mask
+        if own[standing[tin.triangles].any(axis=1)].sum() > MOST * own.sum():
+            standing &= ~vertex_mask(tin, mask)
+    return standing, within
+
+
 def without_objects(
-    surface: CloudSurface, parameters: Parameters, options: SurfaceParameters
+    surface: CloudSurface,
+    parameters: Parameters,
+    options: SurfaceParameters,
+    rings: Sequence[F64] = (),
 ) -> CloudSurface:
     """The surface without what stands on it, which it names; itself where nothing does, or where
-    nothing would be left.
+    nothing would be left. rings : outlines (k, 2) m that are given, none for that of the main body
     """
     made = surface.representation
     if surface.sigma_m is None or surface.given_faces is not None:
@@ -123,6 +152,7 @@ def without_objects(
         return surface
     longest = max(parameters.volume.max_edge_m, REACH * spacing)
     volume = dataclasses.replace(parameters.volume, max_edge_m=longest)
+    parameters = dataclasses.replace(parameters, volume=volume)
     kept, found = np.arange(len(surface.points)), list[StandingObject]()
     for _ in range(ROUNDS):
         points = surface.points[kept]
@@ -130,13 +160,12 @@ def without_objects(
             tin = thinned_tin(points, step, spacing)
             if not any_step(tin.triangles, tin.vertices, step, STEEP):
                 break
-            base, inside = ground_and_outline(tin, np.full(len(tin.vertices), sigma**2), parameters)
-            standing = standing_vertices(tin, base, inside > 0, volume, step)
+            standing, inside = standing_in(tin, rings, sigma, parameters, step)
         except (GroundError, SurfaceError, VolumeError):  # no ground: the volume will say so
             break
         if not standing.any():
             break
-        found += objects_of(tin, standing, standing, inside > 0)
+        found += objects_of(tin, standing, standing, inside)
         kept = kept[~standing_points(points, tin, standing, step, max(step, spacing))]
     if not found:
         return surface

@@ -88,6 +88,31 @@ def test_a_machine_with_points_on_its_faces_is_taken_out(tmp_path, capsys):
     assert any(math.hypot(one["x_m"] - 2.6, one["y_m"]) < 0.3 for one in facts["objects"])
 
 
+def drawn(tmp_path, x, y):
+    """A file with a ring about the middle, half axes x, y, m."""
+    a = np.linspace(0.0, 2.0 * np.pi, 33)
+    ring = np.c_[x * np.cos(a), y * np.sin(a)]
+    corners = ", ".join(f"{px:.6f} {py:.6f}" for px, py in ring)
+    (tmp_path / "ring.wkt").write_text(f"POLYGON(({corners}))", encoding="utf-8")
+    return ("--piles", str(tmp_path / "ring.wkt"))
+
+
+def test_a_container_within_a_drawn_outline_is_taken_out(tmp_path, capsys):
+    _, xy, noise = site(7)
+    z = cone(xy)
+    z[(np.abs(xy[:, 0] - 5.5) < 1.2) & (np.abs(xy[:, 1]) < 3.0)] = 2.6
+    facts = measured(tmp_path, capsys, np.c_[xy, z + noise], *drawn(tmp_path, 7.0, 7.0))
+    assert holds(facts) and facts["sigma_m3"] < 0.05 * TRUE_M3
+    assert "object" in names(facts)
+
+
+def test_a_box_for_which_an_outline_was_drawn_stays(tmp_path, capsys):
+    _, xy, noise = site(8)
+    z = np.where((np.abs(xy) < (3.0, 2.0)).all(axis=1), 1.5, 0.0)
+    facts = measured(tmp_path, capsys, np.c_[xy, z + noise], *drawn(tmp_path, 4.6, 3.4))
+    assert facts["objects"] == [] and facts["net_m3"] == pytest.approx(36.0, rel=0.05)
+
+
 def test_a_box_is_the_body(tmp_path, capsys):
     _, xy, noise = site(5)
     z = np.where((np.abs(xy) < (3.0, 2.0)).all(axis=1), 1.5, 0.0)
