@@ -52,7 +52,6 @@ from ladar_volume.clouds.cloud_levels import (
     level_list,
     sequence,
 )
-from ladar_volume.clouds.cloud_objects import without_objects
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import (
     CloudVolume,
@@ -62,6 +61,7 @@ from ladar_volume.clouds.cloud_volume import (
 )
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
+from ladar_volume.clouds.sampling.cloud_objects import without_objects
 from ladar_volume.clouds.sampling.height_axis import check_height_axis
 from ladar_volume.clouds.sampling.site_lengths import (
     length_facts,

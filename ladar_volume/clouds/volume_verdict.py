@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
-from ladar_volume.clouds.cloud_objects import STEP
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, has_selected_vertices
 from ladar_volume.clouds.ground_cover import (
@@ -22,6 +21,7 @@ from ladar_volume.clouds.ground_cover import (
     steep_vertices,
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
+from ladar_volume.clouds.sampling.cloud_objects import STEP
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
 from ladar_volume.clouds.survey.flight_errors import vertex_slopes

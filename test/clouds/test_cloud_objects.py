@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.clouds.cloud_objects import beside
+from ladar_volume.clouds.sampling.cloud_objects import beside
 
 RADIUS, HIGH = 6.0, 3.6
 TRUE_M3 = math.pi * RADIUS**2 * HIGH / 3.0
