@@ -230,9 +230,7 @@ def result_of(
     if task.arguments.frame == "scan":
         progress("turning into the scan frame")
     frame = frame_of(task.arguments, sources)
-    for source in sources if frame is None else []:
-        if source.mesh is None:
-            check_height_axis(source.cloud.r)
+    check_axes([] if frame is not None else sources)
     outlines = outlines_of(task.arguments, sources)
     task = dataclasses.replace(task, frame=frame, outlines=outlines, progress=progress)
     flown = flown_of(task.arguments, sources, task.flight)
@@ -263,6 +261,13 @@ def result_of(
     base, counted = base_of(task, found), found.counted[0]
     planes = () if found.site is None else tuple(pile.reference for pile in found.site.piles)
     return VolumeResult(surfaces, base, counted, facts, polygons_that_count(found), planes)
+
+
+def check_axes(sources: list[Source]) -> None:
+    """Refuse clouds whose heights are in another column than z."""
+    for source in sources:
+        if source.mesh is None:
+            check_height_axis(source.cloud.r)
 
 
 def polygons_that_count(found: CutFill) -> tuple[F64, ...]:
