@@ -8,15 +8,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ladar_volume.change import cut_and_fill
+from ladar_volume.change.cut_and_fill import point_variance, positive_part
 from ladar_volume.change.density import relative_errors
-from ladar_volume.change.ring_budget import ring_line
+from ladar_volume.change.epoch_change import within_outline
+from ladar_volume.change.excavation import Scan
+from ladar_volume.change.ring_budget import ring_line, transform_scan
+from ladar_volume.change.ring_fit import ALONG, STRETCHES, sandwich
 from ladar_volume.georeference.clock_check import Lead
 from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.point_jacobian import navigation_covariance_at
 from ladar_volume.georeference.sample_admission import TimeOrder
+from ladar_volume.math.se3 import rotation_xyz
 from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters
 from ladar_volume.model.records import OdometrySample, Returns
+from ladar_volume.registration.transform import Transform
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.cutfill import cut_sequence
 from ladar_volume.volume.floors import spikes, surface_offset
@@ -137,3 +144,63 @@ def test_sigma_of_an_offset_is_that_of_one_parameter():
     slope, r = (high - low) / (2.0 * h), mid - cut_sequence(two, z).cut_m3
     assert abs(slope @ r) < 1e-6 * np.linalg.norm(slope) * np.linalg.norm(r)
     assert found.sigma_m == pytest.approx(math.sqrt(r @ r / 8.0 / (slope @ slope)), rel=1e-6)
+
+
+def test_a_triangle_counts_where_half_of_it_lies_in_the_outline():
+    """Of a square of 2 m cut along its diagonal, outlines that hold more or less than half."""
+    r = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 2.0, 0.0], [0.0, 2.0, 0.0]])
+    tin = build_tin(r)
+    at_left = np.isclose(r[tin.triangles][:, :, 0], 0.0).sum(axis=1) == 2
+    for far, held in ((0.5, False), (0.7, True)):  # of the triangle at x = 0: 1 - (1 - far / 2)^2
+        strip = np.array([[-1.0, -1.0], [far, -1.0], [far, 3.0], [-1.0, 3.0]])
+        kept = within_outline(tin, strip).relevant
+        assert kept[at_left].tolist() == [held] and not kept[~at_left].any()
+    assert tin.relevant.all() and within_outline(tin, None) is tin
+
+
+def test_the_noise_of_a_height_grows_with_the_slope_squared():
+    normal = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.8, 0.6]])
+    points = SimpleNamespace(variance=np.full(3, 4e-4), normal=normal)
+    found = point_variance(SimpleNamespace(sources=SimpleNamespace(points=points)))
+    np.testing.assert_allclose(found, [4e-4, 4e-4 / 0.64, 4e-4 / 0.36])
+
+
+def test_the_noise_of_a_scan_turns_with_it():
+    R = rotation_xyz(0.1, -0.2, 0.7)
+    home = Transform(R, np.array([1.0, 2.0, 3.0]), np.zeros(3), 1.0, np.zeros((7, 7)))
+    C = np.array([np.diag([1.0, 4.0, 9.0]), np.diag([2.0, 1.0, 0.5])]) * 1e-4
+    points = np.array([[1.0, 0.0, 2.0], [0.0, 3.0, 1.0]])
+    moved = transform_scan(Scan(points, np.zeros(3), C), SimpleNamespace(home=home))
+    axis = np.array([0.0, 1.0, 0.0])  # known with 4e-4 and 1e-4 along y before, so along R y now
+    found = np.einsum("i,nij,j->n", R @ axis, moved.noise, R @ axis)
+    np.testing.assert_allclose(found, [4e-4, 1e-4])
+
+
+def test_three_parameters_take_their_freedom_from_the_stretches_of_a_ring():
+    k = 4 * STRETCHES
+    scores = np.random.default_rng(2).normal(size=(k, 2))
+    length = k // STRETCHES
+    sums = [np.roll(scores, -s, axis=0)[:length].sum(axis=0) for s in range(k)]
+    mean = np.mean([np.outer(v, v) for v in sums], axis=0)
+    Q = np.array([[2.0, 0.3], [0.3, 1.0]])
+    expected = Q @ mean @ Q * STRETCHES * STRETCHES / (STRETCHES - ALONG)
+    np.testing.assert_allclose(sandwich(scores, Q), expected)
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.6, 1.0])
+def test_cut_of_level_ground_has_half_the_square_of_a_common_lift_and_a_quarter_of_others(
+    alike, monkeypatch
+):
+    """Of x with mean 0: the square of its positive part is half of it in the mean, that of half
+    its size a quarter.
+    """
+    tin = build_tin(np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 5.0, 0.0], [0.0, 5.0, 0.0]]))
+    tau, area = 0.03, 20.0
+    monkeypatch.setattr(cut_and_fill, "shared_sigma", lambda *given: np.full(4, tau))
+    monkeypatch.setattr(cut_and_fill, "calibration_cross", lambda *given: np.zeros((1, 1)))
+    budget = SimpleNamespace(lines={"attitude": max(alike * area * tau, 1e-9) ** 2})
+    difference = SimpleNamespace(tin=tin, upper_carries=True)
+    found = cut_and_fill.shared_shift_variances(None, None, difference, budget, ())
+    slope = positive_part(np.zeros((1, 3)))[1].sum()
+    expected = alike**2 / 2.0 + (1.0 - alike**2) / 4.0 - (alike * slope) ** 2
+    np.testing.assert_allclose(found, expected * (area * tau) ** 2, rtol=1e-6)

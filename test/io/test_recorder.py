@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from own_process import python_path
 from rosbags.highlevel import AnyReader
 
+from ladar_volume.io import recorder as recorder_room
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.mcap_recovery import is_complete, recover
@@ -290,6 +291,28 @@ def test_a_full_disk_finishes_the_file_waits_and_goes_on(tmp_path, monkeypatch):
         and sum(len(read(f)) for f in log_files(tmp_path / "log.mcap")) == 35 - lost - 5
     )
     assert recorder.account("chat").written == 30 - lost
+
+
+def test_a_next_file_that_cannot_be_made_is_tried_again(tmp_path, monkeypatch):
+    made, refuse = recorder_room.McapLog, [True]
+
+    def make(*given):
+        if refuse[0]:
+            raise OutputError("no file now")
+        return made(*given)
+
+    monkeypatch.setattr(recorder_room, "RETRY_S", 0.0)
+    recorder = Recorder(parameters(tmp_path))
+    monkeypatch.setattr(recorder_room, "McapLog", make)
+    fill(recorder, 3)
+    recorder.split(S)
+    fill(recorder, 2, first=3)
+    assert recorder.problem == "no file now" and recorder.account("chat").disk == 2
+    refuse[0] = False
+    fill(recorder, 4, first=5)
+    recorder.close()
+    assert recorder.problem == "" and recorder.account("chat").written == 7
+    assert sum(len(read(f)) for f in log_files(tmp_path / "log.mcap")) == 7
 
 
 def test_a_disk_that_is_full_from_the_start_is_waited_for(tmp_path, monkeypatch):
