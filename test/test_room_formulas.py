@@ -3,6 +3,7 @@
 """
 
 import math
+from dataclasses import make_dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from ladar_volume.change.epoch_change import within_outline
 from ladar_volume.change.excavation import Scan
 from ladar_volume.change.ring_budget import ring_line, transform_scan
 from ladar_volume.change.ring_fit import ALONG, STRETCHES, sandwich
+from ladar_volume.clouds import volume_verdict
 from ladar_volume.georeference.clock_check import Lead
 from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.georeferencer import Georeferencer
@@ -25,6 +27,7 @@ from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParamete
 from ladar_volume.model.records import OdometrySample, Returns
 from ladar_volume.registration.transform import Transform
 from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.uncertainty.pass_differences import Sizes, bin_covariances
 from ladar_volume.volume.cutfill import cut_sequence
 from ladar_volume.volume.floors import spikes, surface_offset
 
@@ -204,3 +207,38 @@ def test_cut_of_level_ground_has_half_the_square_of_a_common_lift_and_a_quarter_
     slope = positive_part(np.zeros((1, 3)))[1].sum()
     expected = alike**2 / 2.0 + (1.0 - alike**2) / 4.0 - (alike * slope) ** 2
     np.testing.assert_allclose(found, expected * (area * tau) ** 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("cut", "fill", "more", "expected"),
+    [(6.0, 1.0, 0.7, (6.7, 1.0)), (1.0, 5.0, -0.7, (1.0, 5.7)), (1.0, 5.0, 0.4, (1.0, 4.6))],
+)
+def test_what_gaps_hold_is_cut_of_a_heap_and_fill_of_a_pit(monkeypatch, cut, fill, more, expected):
+    """more : what the net volume grows by, m³."""
+    names = ("cut_m3", "fill_m3", "sigma_m3", "area_m2", "net_m3")
+    volume = make_dataclass("Found", names)(cut, fill, 0.1, 20.0, cut - fill)
+    gaps = SimpleNamespace(areas=[2.0], triangle=np.array([0, -1]), area_m2=2.0)
+    bridged = SimpleNamespace(
+        gaps=[SimpleNamespace(sigma_m3=0.1)], more_m3=more, variance_m6=0.01, area_m2=2.0
+    )
+    tin = SimpleNamespace(triangles=np.zeros((2, 3), np.int32))
+    surface = SimpleNamespace(
+        representation=SimpleNamespace(tin=tin), sigma_m=np.ones(3), vertex_variance=np.ones(3)
+    )
+    monkeypatch.setattr(volume_verdict, "find_gaps", lambda *given: gaps)
+    monkeypatch.setattr(volume_verdict, "bridged_volume", lambda *given: bridged)
+    monkeypatch.setattr(volume_verdict, "gap_doubts", lambda *given: [])
+    monkeypatch.setattr(volume_verdict, "with_lines", lambda volume, lines: volume)
+    found, mask, _ = volume_verdict.with_gaps(volume, surface, None, SimpleNamespace(), True)
+    assert (found.cut_m3, found.fill_m3) == pytest.approx(expected)
+    assert mask.tolist() == [True, False]
+
+
+def test_an_attitude_that_wanders_looks_like_a_place_by_the_ratio_of_what_both_do():
+    given = BudgetParameters()
+    sizes = Sizes(0.02, 0.03, 0.0, 0.01, 5.0)
+    bins = np.array([3, 8])
+    found = bin_covariances(bins, 2.0, 10.0, sizes, given)["attitude"]
+    wandering = 1.0 - given.attitude_bias_fraction - given.attitude_white_fraction
+    expected = (0.03 / 0.02) ** 2 * wandering * 2.0 / (3.0 * given.tau_attitude_s)
+    np.testing.assert_allclose(np.diag(found)[7:13], expected)

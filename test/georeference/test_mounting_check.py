@@ -5,6 +5,7 @@ not.
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ladar_volume.georeference.lidar_equation import Mounting
 from ladar_volume.georeference.mounting_check import (
@@ -14,7 +15,7 @@ from ladar_volume.georeference.mounting_check import (
     distance_from_planes,
     mounting_doubts,
 )
-from ladar_volume.georeference.sweep_turns import sweep_image
+from ladar_volume.georeference.sweep_turns import sweep_image, turn_between
 from ladar_volume.math.se3 import quaternion_from_matrix, rotation_xyz
 from ladar_volume.model.records import PlatformStates, Returns
 
@@ -167,3 +168,16 @@ def test_sweeps_without_poses_around_them_are_left_out():
     assert told([1.0, 1.1, 1.3, 1.4], [0, 0, 0, 1]) == 0
     assert told([1.06, 1.1, 1.3, 1.4], [0, 0, 0, 0]) == 0
     assert told([1.0, 1.1, 1.3, 1.34], [0, 0, 0, 0]) == 0
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.06), (0.02, 0.0, 0.0), (0.01, -0.015, -0.2)])
+def test_the_turn_between_two_sweeps_is_that_of_the_scanner(turn):
+    d, ring = directions()
+    place, zero = np.array([0.0, 0.0, 1.5]), np.zeros(len(ring), np.int64)
+
+    def seen(R):
+        far = in_room(place, d @ R.T)
+        return sweep_image(Returns(zero, far[:, None] * d, ring, np.ones(len(ring))), 0.0)
+
+    R = Rotation.from_rotvec(turn).as_matrix()
+    np.testing.assert_allclose(turn_between(seen(np.eye(3)), seen(R)), turn, atol=0.004)
