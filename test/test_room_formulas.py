@@ -242,3 +242,11 @@ def test_an_attitude_that_wanders_looks_like_a_place_by_the_ratio_of_what_both_d
     wandering = 1.0 - given.attitude_bias_fraction - given.attitude_white_fraction
     expected = (0.03 / 0.02) ** 2 * wandering * 2.0 / (3.0 * given.tau_attitude_s)
     np.testing.assert_allclose(np.diag(found)[7:13], expected)
+
+
+def test_what_lies_unseen_between_points_counts_with_its_square(monkeypatch):
+    volume = SimpleNamespace(sigma_m3=0.1, budget_m6={"unseen": 0.01})
+    between = SimpleNamespace(unseen_m3=0.3, variance_m6=0.002)
+    monkeypatch.setattr(volume_verdict, "with_lines", lambda volume, lines: lines)
+    found = volume_verdict.with_between_points(volume, between)
+    assert found == {"between_points": 0.002, "unseen": pytest.approx(0.01 + 0.09)}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.georeference.fix_steps import FixSteps, step_doubts
+from ladar_volume.georeference.fix_steps import SIDE, FixSteps, step_doubts
 from ladar_volume.model.verdict import Doubt, Verdict
 
 BEGIN = 1_700_000_000_000_000_000
@@ -56,3 +56,13 @@ def test_the_step_is_named_where_the_passes_disagree_and_only_there():
     assert "at 14.3 s" in doubt.text or "at 14.2 s" in doubt.text or "at 14.4 s" in doubt.text
     assert step_doubts(found, BEGIN, Verdict()) == Verdict()
     assert step_doubts(None, BEGIN, SHIFTED) == Verdict()
+
+
+def test_a_window_is_full_with_as_many_fixes_before_the_step_as_after():
+    found, said = FixSteps(), []
+    for k in range(6 * SIDE):
+        found.add(BEGIN + k * 100_000_000, np.array([0.2 * k + (k >= 18), 0.0, 0.0]))
+        said.append(found.largest() is not None)
+    first = said.index(True)
+    assert first == 6 * SIDE - 2  # so many windows of twice the side as are asked for
+    assert found.largest().t_ns == BEGIN + 18 * 100_000_000
