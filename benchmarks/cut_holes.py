@@ -21,9 +21,10 @@ import numpy as np
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import FilterUpdate, select
+from ladar_volume.model.records import FilterUpdate, Volume, select
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
+from ladar_volume.simulation.scenes import Ground
 from ladar_volume.simulation.trouble_kinds import KINDS, TroubledSurvey
 from ladar_volume.simulation.troubled_scenes import Pile, SceneDraft
 from ladar_volume.uncertainty.packing import unpack_patches
@@ -42,7 +43,7 @@ class Surveyed(NamedTuple):
     pile: Pile
     true_m3: float
     estimator: VolumeEstimator
-    whole_m3: float
+    whole: Volume
 
 
 class Hole(NamedTuple):
@@ -57,12 +58,21 @@ class Hole(NamedTuple):
     named: bool
 
 
-def surveyed(seed: int) -> Surveyed:
-    """A clean survey through the whole engine; every second pile has a flat top."""
+def surveyed(
+    seed: int, true_budget: BudgetParameters | None = None, level: bool = False
+) -> Surveyed:
+    """A clean survey through the whole engine, its errors drawn from a budget that may be another
+    than the believed one; every second pile has a flat top. level : stand on a level, which is
+    the base.
+    """
     draft = SceneDraft(seed, "clean")
     KINDS["clean"](draft)
     draft.pile = dataclasses.replace(draft.pile, top=0.35 if seed % 2 else 0.0)
     draft.volume_m3 = draft.pile.volume_m3
+    if level:
+        draft.ground = Ground(0.13, (0.0, 0.0), 0.01, 1.0, seed)
+        draft.volume = {"base": "level", "level_m": 0.13}
+    draft.true_budget = true_budget or draft.true_budget
     trouble = draft.trouble()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight"
@@ -72,7 +82,7 @@ def surveyed(seed: int) -> Surveyed:
             believed = dataclasses.replace(config, budget=BudgetParameters())
             replay = Replay(bag, believed, bag.roles({}))
             v = replay.run().volume
-    return Surveyed(draft.pile, draft.volume_m3, replay.engine.estimator, v.volume_m3)
+    return Surveyed(draft.pile, draft.volume_m3, replay.engine.estimator, v)
 
 
 def rectangle_about(pile: Pile, place: str, share: float, rng: np.random.Generator) -> Any:
@@ -106,7 +116,7 @@ def cut(of: Surveyed, place: str, share: float, rng: np.random.Generator) -> Hol
     v = left.estimate(naive=False).volume
     named = any(d.name in ("unseen", "cut", "ground_one_sided") for d in v.verdict.doubts)
     unseen = v.budget_m6.get("unseen", 0.0) ** 0.5
-    error, moved = v.volume_m3 - of.true_m3, v.volume_m3 - of.whole_m3
+    error, moved = v.volume_m3 - of.true_m3, v.volume_m3 - of.whole.volume_m3
     return Hole(place, share, error, moved, v.sigma_m3, unseen, named)
 
 

@@ -2,18 +2,22 @@
 it scaled? Errors are drawn anew on the patches and sensitivities of surveys that were filtered
 once.
 
-    python -m benchmarks.refuted_budgets [--first 5001] [--surveys 4] [--draws 400]
+    python -m benchmarks.refuted_budgets [--first 5001] [--surveys 4] [--draws 400] [--whole N]
 
-Ten fixes a second are flown; the estimate takes one every ``max_position_gap_s``.
+With ``--whole`` that many surveys of each case are flown instead, through the whole engine. Ten
+fixes a second are flown; the estimate takes one every ``max_position_gap_s``.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+from typing import Any
 
 import numpy as np
 
 from benchmarks.cut_holes import surveyed
+from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.uncertainty.pass_differences import UnitErrors, pass_differences
 from ladar_volume.uncertainty.variance_components import Component, variance_components
 
@@ -54,12 +58,76 @@ def drawn(pair: Pair, group: str, factor: float, rng: np.random.Generator) -> di
     return out
 
 
+def worse(group: str, factor: float) -> BudgetParameters:
+    """The default budget with the sigmas of a group so many times as large."""
+    b = BudgetParameters()
+    names = {
+        "position": ("position_sigma_m",),
+        "attitude": ("attitude_sigma_rad",),
+        "beams": ("beam_range_sigma_m", "beam_vertical_sigma_rad"),
+        "boresight": ("boresight_sigma_rad",),
+        "lever_arms": ("lever_laser_sigma_m", "lever_antenna_sigma_m"),
+        "clock": ("clock_sigma_s",),
+        "none": (),
+    }[group]
+    larger: dict[str, Any] = {}
+    for name in names:
+        own = (factor * np.array(getattr(b, name))).tolist()
+        larger[name] = tuple(own) if isinstance(own, list) else own
+    return dataclasses.replace(b, **larger)
+
+
+def whole_surveys(first: int, count: int, only: float) -> None:
+    """A row of each case, above a level, where errors do not cancel: how often its group is
+    refuted, and another; the volume's error over its sigma, and over what it would be unscaled.
+    """
+    print("| worse | times | found | another | error / sigma, RMS | before | doubted |")
+    print("|---|" + "---:|" * 6)
+    for group, factors in CASES[:5]:
+        for factor in (f for f in factors if only in (0.0, f) or group == "none"):
+            rows = []
+            for seed in range(first, first + count):
+                of = surveyed(seed, worse(group, factor), level=True)
+                v = of.whole
+                assert v.agreement is not None
+                freed = {s.name for s in v.agreement.sources if s.scale > 1.0} - {"noise"}
+                unscaled = dataclasses.replace(
+                    of.estimator.parameters,
+                    volume=dataclasses.replace(of.estimator.parameters.volume, budget_check="warn"),
+                )
+                of.estimator.set_parameters(unscaled)
+                before = of.estimator.estimate(naive=False).volume.sigma_m3
+                error = v.volume_m3 - of.true_m3
+                doubted = not v.verdict.sound
+                rows.append(
+                    (
+                        group in freed,
+                        bool(freed - {group}),
+                        error / v.sigma_m3,
+                        error / before,
+                        doubted,
+                    )
+                )
+            own, others, ratio, plain, doubts = np.array(rows, dtype=np.float64).T
+            print(
+                f"| {group} | {factor:g} | {own.sum():.0f} of {count} | {others.sum():.0f} "
+                f"| {np.sqrt((ratio**2).mean()):.2f} | {np.sqrt((plain**2).mean()):.2f} "
+                f"| {doubts.sum():.0f} |",
+                flush=True,
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--first", type=int, default=5001)
     parser.add_argument("--surveys", type=int, default=4)
     parser.add_argument("--draws", type=int, default=400)
+    parser.add_argument("--whole", type=int, default=0)
+    parser.add_argument("--times", type=float, default=0.0, help="with --whole, this factor alone")
     options = parser.parse_args()
+    if options.whole:
+        whole_surveys(options.first, options.whole, options.times)
+        return
     pairs = [believed_and_true(options.first + k) for k in range(options.surveys)]
     rng = np.random.default_rng(options.first)
     print(
