@@ -148,8 +148,9 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
 
 def patch_columns(update: FilterUpdate) -> Columns:
     """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its
-    key), 2 calibration columns (`index` the group), 3 navigation bin `other`, 4 removed patch, 5
-    end marker (index 1: the last part of an update).
+    key), 2 calibration columns (`index` the group), those of the beams' residuals last, 3
+    navigation bin `other` and last its residual, 4 removed patch, 5 end marker (index 1: the last
+    part of an update). Column 13 + p of the head tells whether residuals are known.
     """
     a = update.patches
     m, p = a.beta.shape

@@ -8,6 +8,8 @@ Public:
 - ``volume_budget``, ``epoch_budget``: variances by source of one volume, and of a change.
 - ``second_order``: where the first order is not enough.
 - ``roughness``, ``ground_field``: the ground between its points as a random field.
+- ``pass_agreement``, ``pass_differences``, ``variance_components``: whether passes and beams lie
+  over each other as the budget says, and which group of sources is worse.
 - ``correlated_sum``: the sigma of a sum over correlated height differences.
 
 The mathematics is in docs/uncertainty.md.
