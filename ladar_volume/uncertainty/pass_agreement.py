@@ -218,9 +218,8 @@ def pass_agreement(
     sources = tuple(
         with_component(s, components.get(s.name)) for s in source_agreement(part, left, span_s, b)
     )
-    refuted = any(s.scale > 1.0 for s in sources)
-    if "position" not in components:  # the size of the residuals is all that is known
-        refuted |= p < REFUTED and factor > LEAST
+    # residuals may be too large where no group is to blame: rough surfaces are filtered worse
+    refuted = (p < REFUTED and factor > LEAST) or any(s.scale > 1.0 for s in sources)
     within = found.within_bins(patches)
     if within is not None:
         own = float(np.median(within.square - within.source["beams"]))

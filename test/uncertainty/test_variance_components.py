@@ -222,3 +222,11 @@ def test_scores_are_derivatives_of_the_likelihood():
     square = np.einsum("ik,ij,jk->k", P @ y, A @ A.T, P @ y)
     assert np.trace(P @ A @ A.T) == pytest.approx(square.mean(), rel=0.02)
     assert at.freedom[0] == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.05)
+
+
+def test_residuals_that_no_group_explains_are_still_a_doubt():
+    made, nav = drawn_rise("", 1.0, 1), flight()[0]
+    rough = dataclasses.replace(made, sigma=np.sqrt(made.sigma**2 + 0.05**2))
+    found = pass_agreement(patch_scatter(rough, nav, BUDGET), rough, nav, BUDGET, 0.1)
+    groups = [s for s in found.sources if s.name != "noise"]
+    assert found.refuted and all(s.scale == 1.0 for s in groups)
