@@ -17,6 +17,7 @@ from ladar_volume.change.excavation import Scan
 from ladar_volume.change.ring_budget import ring_line, transform_scan
 from ladar_volume.change.ring_fit import ALONG, STRETCHES, sandwich
 from ladar_volume.clouds import volume_verdict
+from ladar_volume.clouds.cloud_noise import cloud_noise, fit_residuals
 from ladar_volume.georeference.clock_check import Lead
 from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.georeferencer import Georeferencer
@@ -250,3 +251,21 @@ def test_what_lies_unseen_between_points_counts_with_its_square(monkeypatch):
     monkeypatch.setattr(volume_verdict, "with_lines", lambda volume, lines: lines)
     found = volume_verdict.with_between_points(volume, between)
     assert found == {"between_points": 0.002, "unseen": pytest.approx(0.01 + 0.09)}
+
+
+def test_noise_of_rounded_heights_is_that_of_an_even_distribution_at_least():
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(0.0, 30.0, (3000, 2))
+    terraces = 0.01 * np.floor(xy[:, 0] / 6.0)  # of one height wherever a neighbourhood looks
+    found = cloud_noise(np.column_stack([xy, terraces]))
+    assert found.step_m == pytest.approx(0.01)
+    assert found.sigma_m == pytest.approx(0.01 / math.sqrt(12.0), rel=1e-6)
+
+
+def test_residuals_of_quadrics_have_the_size_of_the_noise():
+    rng = np.random.default_rng(5)
+    near = rng.normal(size=(4000, 14, 3))
+    points = np.column_stack([np.zeros((4000, 2)), rng.normal(size=4000)])
+    residual, _ = fit_residuals(points, near, np.arange(4000))
+    spread = 1.4826 * np.median(np.abs(residual))  # of noise of 1, whatever the neighbours' places
+    assert spread == pytest.approx(1.0, abs=0.05)
