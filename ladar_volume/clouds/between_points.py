@@ -22,8 +22,8 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.locate import TriangleIndex, barycentric, locate, triangle_index
-from ladar_volume.tin.relevant import circumdiameters
+from ladar_volume.tin.locate import barycentric, locate_in_delaunay
+from ladar_volume.tin.relevant import circle_kernel
 from ladar_volume.tin.sampled_area import FEWEST, spacings
 
 #: Cells of the coarser surface, in spacings; blocks of differences, in such cells.
@@ -67,9 +67,10 @@ def thin_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I6
 
 def wide(tin: Tin, area: F64) -> float:
     """Circumdiameter, m, that half of an area (m,) m² of triangles is below."""
-    size = circumdiameters(tin)
+    some = np.flatnonzero(area > 0)
+    size = np.asarray(circle_kernel(tin.vertices, tin.triangles[some]))
     order = np.argsort(size)
-    share = np.cumsum(area[order])
+    share = np.cumsum(area[some][order])
     return float(size[order][min(np.searchsorted(share, share[-1] / 2), len(size) - 1)])
 
 
@@ -162,9 +163,9 @@ class Places(NamedTuple):
     coarse: F64
 
 
-def on_coarser(coarse: Tin, index: TriangleIndex, p: F64) -> Places:
-    """Places p (p, 3) m of a surface on a coarser one."""
-    where = locate(index, p[:, :2])
+def on_coarser(coarse: Tin, p: F64) -> Places:
+    """Places p (p, 3) m of a surface on a coarser one, a Delaunay triangulation."""
+    where = locate_in_delaunay(coarse, p[:, :2])
     return Places(p[:, 2], where, barycentric(coarse, where, p[:, :2]))
 
 
@@ -243,11 +244,10 @@ def surface_differences(tin: Tin, corners: I32, area: F64, coarse: Tin, kept: I6
     sums = Differences(
         np.zeros(len(corners)), np.zeros(len(tin.vertices)), np.zeros(len(coarse.triangles))
     )
-    index = triangle_index(coarse)
-    at = on_coarser(coarse, index, centres_of(tin.vertices, corners))
+    at = on_coarser(coarse, centres_of(tin.vertices, corners))
     add_kernel(two, at, np.arange(len(corners)), np.full(3, 1.0 / 3.0), CENTRE * area, sums)
     rows, place = number_vertices(corners, len(tin.vertices), kept)
-    at = on_coarser(coarse, index, tin.vertices[rows])
+    at = on_coarser(coarse, tin.vertices[rows])
     for k in range(3):
         add_kernel(two, at, place[corners[:, k]], np.eye(3)[k], CORNER * area, sums)
     return sums

@@ -19,7 +19,7 @@ from ladar_volume.math.box_tree import join_boxes
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.insertion_order import radix_order
+from ladar_volume.tin.insertion_order import hilbert_order, radix_order
 from ladar_volume.tin.predicates import orientation, workspace
 
 LEAF = 4
@@ -40,6 +40,14 @@ class TriangleIndex:
     order: I64
     corners: F64
     boxes: F64
+
+
+class Walked(NamedTuple):
+    """vertices (n, 3) m, triangles (m, 3) and neighbours (m, 3) of a Delaunay triangulation."""
+
+    vertices: F64
+    triangles: I32
+    neighbours: I32
 
 
 @kernel
@@ -212,6 +220,53 @@ def locate(index: TriangleIndex, xy: F64) -> I64:
             index.order, index.corners, index.boxes, np.ascontiguousarray(xy, dtype=np.float64)
         )
     )
+
+
+@kernel
+def walk_part(tin: Walked, xy: F64, order: I32, out: I64) -> None:
+    """The triangle of each place (n, 2) in a Delaunay triangulation, by a walk from that of the one
+    before in ``order`` (k,); -1 outside, -2 where the place lies on a side.
+    """
+    w, t = np.zeros((12, 1600)), 0  # the scratch rows of the exact predicates
+    for i in order:
+        x, y = xy[i, 0], xy[i, 1]
+        found, steps = -3, 0
+        while found == -3:
+            found, steps = t, steps + 1
+            for k in range(3):
+                a, b = tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]
+                p, q = tin.vertices[a], tin.vertices[b]
+                side = orientation(p[0], p[1], q[0], q[1], x, y, w)
+                if side < 0.0:
+                    found = -1 if tin.neighbours[t, k] < 0 else -3
+                    t = max(tin.neighbours[t, k], 0) if found == -3 else t
+                    break
+                if side == 0.0:
+                    found = -2
+            if steps > len(tin.triangles):  # of no Delaunay triangulation: ask every triangle
+                found = -2
+        out[i] = found
+
+
+@parallel_kernel
+def walk_kernel(tin: Walked, xy: F64, order: I32, out: I64) -> None:
+    """See :func:`walk_part`; parts of the order are walked independently."""
+    n = len(order)
+    for chunk in numba.prange(CHUNKS):
+        walk_part(tin, xy, order[chunk * n // CHUNKS : (chunk + 1) * n // CHUNKS], out)
+
+
+def locate_in_delaunay(tin: Tin, xy: F64) -> I64:
+    """:func:`locate` among all triangles of a Delaunay triangulation of some points, by walks from
+    place to place: faster, and without an index where no place lies on a side.
+    """
+    places, out = np.ascontiguousarray(xy, dtype=np.float64), np.empty(len(xy), np.int64)
+    walked = Walked(tin.vertices, tin.triangles, tin.neighbours)
+    walk_kernel(walked, places, hilbert_order(places), out)
+    on_side = np.flatnonzero(out == -2)
+    if len(on_side):
+        out[on_side] = locate(triangle_index(tin), places[on_side])
+    return out
 
 
 @kernel

@@ -18,6 +18,7 @@ from ladar_volume.tin.locate import (
     curve_keys,
     height_at,
     locate,
+    locate_in_delaunay,
     locate_plain,
     search_boxes,
     triangle_index,
@@ -133,3 +134,16 @@ def test_the_kernels_equal_their_plain_twins():
         search_boxes(index.boxes, len(centres), box, np.empty(128, np.int64), np.empty(1, np.int64))
         == n
     )
+
+
+@pytest.mark.parametrize("integer", [False, True])
+def test_a_walk_finds_the_triangle_that_the_tree_finds(integer):
+    rng = np.random.default_rng(12)
+    xy = rng.uniform(0, 30, (800, 2))
+    tin = build_tin(np.c_[np.round(xy) if integer else xy, np.zeros(800)])
+    places = np.r_[rng.uniform(-3, 33, (3000, 2)), tin.vertices[:, :2], tin.vertices[::2, :2] + 0.5]
+    index = triangle_index(tin)
+    assert np.array_equal(locate_in_delaunay(tin, places), locate(index, places))
+    some = places[::60]
+    assert np.array_equal(locate_in_delaunay(tin, some), locate_plain(index, some))
+    assert len(locate_in_delaunay(tin, places[:0])) == 0
