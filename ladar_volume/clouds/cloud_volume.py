@@ -17,7 +17,7 @@ import numpy as np
 
 from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.ground.ground_adjoint import ground_gradient
+from ladar_volume.ground.ground_adjoint import ground_inverse, ground_residuals
 from ladar_volume.ground.polynomial import degree_of, design, design_surface, height_above
 from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
@@ -226,7 +226,10 @@ def solid_above(
         # the base moves with the points that define it
         at = design(tin.vertices[:, :2], base.origin_xy, degree_of(base))
         by_beta = np.stack([base_net, -at.T @ cut], axis=1)
-        gradient[base.support] += ground_gradient(tin.vertices, base, by_beta)[..., 2]
+        del at  # as large as the cloud
+        N = ground_inverse(tin.vertices, base)
+        for k in range(2):
+            gradient[base.support, k] += ground_residuals(tin.vertices, base, by_beta[:, k], N)[2]
         field = ground_field(tin, base, base_net, inside, variance)
         if field is not None:
             extra["base_surface"] = field.variance_m6

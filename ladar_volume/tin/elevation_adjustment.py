@@ -85,12 +85,7 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> SurfaceFit:
     Raises :class:`SurfaceError` for a wrong shape, a value that is not finite, a sigma that is not
     positive, or no point inside.
     """
-    points = finite_points(points_map)
-    sigma = np.ones(len(points)) if sigma_m is None else np.asarray(sigma_m, dtype=np.float64)
-    if sigma.shape != (len(points),) or not (np.isfinite(sigma) & (sigma > 0)).all():
-        raise SurfaceError(
-            "every point needs a positive standard deviation", reason="surface_sigma"
-        )
+    points, sigma = checked(points_map, sigma_m)
     vertex = vertices_at_points(tin, points)
     where = lowest_kernel(tin.triangles, tin.relevant, len(tin.vertices))[vertex]
     rest = np.flatnonzero(vertex < 0)
@@ -103,6 +98,41 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> SurfaceFit:
     B = coordinates_of(tin, points[point, :2], where[point], vertex[point])
     adjusted = np.bincount(B.indices, B.data**2, len(tin.vertices)) > 0
     return SurfaceFit(B, point, where[point], points[point, 2], sigma[point] ** -2.0, adjusted)
+
+
+def checked(points_map: F64, sigma_m: F64 | None) -> tuple[F64, F64]:
+    """Points (m, 3) m and their standard deviations (m,), 1 where there are none. Raises as
+    :func:`fit_of` does.
+    """
+    points = finite_points(points_map)
+    sigma = np.ones(len(points)) if sigma_m is None else np.asarray(sigma_m, dtype=np.float64)
+    if sigma.shape != (len(points),) or not (np.isfinite(sigma) & (sigma > 0)).all():
+        raise SurfaceError(
+            "every point needs a positive standard deviation", reason="surface_sigma"
+        )
+    return points, sigma
+
+
+def fit_of_shared(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> tuple[SurfaceFit, int]:
+    """:func:`fit_of` of a surface through all points, without those that are alone at their vertex
+    and fit it exactly; and how many points it has with them. Where a point is no vertex, as one
+    left out that a relevant triangle holds, it is that of all.
+    """
+    points, sigma = checked(points_map, sigma_m)
+    vertex, n = vertices_at_points(tin, points), len(tin.vertices)
+    first = lowest_kernel(tin.triangles, tin.relevant, n)
+    rest = np.flatnonzero(vertex < 0)
+    if len(rest) and (locate(triangle_index(tin, tin.relevant), points[rest, :2]) >= 0).any():
+        fit = fit_of(tin, points, sigma_m)
+        return fit, len(fit.point)
+    several = np.bincount(vertex[vertex >= 0], minlength=n) > 1
+    several &= first[:n] >= 0
+    point = np.flatnonzero(np.append(several, False)[vertex])
+    at = vertex[point].astype(np.int32)
+    entries = (np.ones(len(at)), at, np.arange(len(at) + 1))
+    B = sparse.csr_array(entries, shape=(len(at), n))
+    count = int(np.count_nonzero(first[vertex] >= 0))
+    return SurfaceFit(B, point, first[at], points[point, 2], sigma[point] ** -2.0, several), count
 
 
 def vertices_at_points(tin: Tin, points: F64) -> I64:
@@ -152,11 +182,12 @@ def coordinates_of(tin: Tin, xy: F64, triangle: I64, vertex: I64) -> sparse.csr_
     return B
 
 
-def measures(residuals: F64) -> tuple[float, float]:
+def measures(residuals: F64, count: int | None = None) -> tuple[float, float]:
     """Measures of fit (seed 000 section 2.3): root mean square and average size of residuals (k,),
-    m.
+    m; ``count`` points in all, where others fit exactly.
     """
-    return float(np.sqrt(np.mean(residuals**2))), float(np.mean(np.abs(residuals)))
+    k = max(len(residuals), 1) if count is None else count
+    return float(np.sqrt(np.sum(residuals**2) / k)), float(np.sum(np.abs(residuals)) / k)
 
 
 class Normal:
@@ -305,5 +336,5 @@ def raw_gradient(tin: Tin, fit: SurfaceFit, gradient_z: F64, points: int) -> F64
     held = ~fit.adjusted & (tin.source >= 0)
     for c in range(g.shape[1]):
         out[fit.point, c] = fit.weight * (fit.B @ normal.solve(g[:, c]))
-        np.add.at(out[:, c], tin.source[held], g[held, c])
+        out[tin.source[held], c] += g[held, c]
     return out if np.ndim(gradient_z) == 2 else out[:, 0]

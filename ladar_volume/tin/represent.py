@@ -30,6 +30,7 @@ from ladar_volume.tin.elevation_adjustment import (
     adjust_rms,
     adjust_rms_by_iteration,
     fit_of,
+    fit_of_shared,
     measures,
     raw_gradient,
 )
@@ -245,6 +246,8 @@ def adjust_surface(
         )
     usable = sigma_m is not None and bool((sigma_m > 0).all())
     sigma = sigma_m if usable else None
+    if o.full and (o.adjust, o.exchange) == ("rms", "none"):
+        return means_of_shared(tin, points, sigma, initial, cropped)
     raw, exchanges = fit_of(tin, points, sigma), 0
     before = measures(raw.residuals(tin.vertices[:, 2]))
     done = adjust_elevations(tin, points, o, raw)
@@ -272,6 +275,17 @@ def adjust_surface(
         *before,
         adjusted_on=adjusted_on,
     )
+
+
+def means_of_shared(
+    tin: Tin, points: F64, sigma_m: F64 | None, initial: int, cropped: int
+) -> RepresentedSurface:
+    """The surface through all points, at the mean height where several have one footprint."""
+    fit, count = fit_of_shared(tin, points, sigma_m)
+    done = adjust_rms(tin, points, fit=fit)
+    before, after = (measures(fit.residuals(t.vertices[:, 2]), count) for t in (tin, done.tin))
+    counts = (0, initial, cropped)
+    return RepresentedSurface(done.tin, fit, "rms", True, *counts, *after, count, *before)
 
 
 def adjust_elevations(
