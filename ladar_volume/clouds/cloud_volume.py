@@ -224,9 +224,8 @@ def solid_above(
     extra: dict[str, float] = {}
     if len(base.support):
         # the base moves with the points that define it
-        at = design(tin.vertices[:, :2], base.origin_xy, degree_of(base))
-        by_beta = np.stack([base_net, -at.T @ cut], axis=1)
-        del at  # as large as the cloud
+        by_cut = -design(tin.vertices[:, :2], base.origin_xy, degree_of(base)).T @ cut
+        by_beta = np.stack([base_net, by_cut], axis=1)
         N = ground_inverse(tin.vertices, base)
         for k in range(2):
             gradient[base.support, k] += ground_residuals(tin.vertices, base, by_beta[:, k], N)[2]

@@ -244,8 +244,7 @@ def adjust_surface(
         return RepresentedSurface(
             tin, None, "none", True, 0, initial, cropped, 0.0, 0.0, len(points) - cropped, 0.0, 0.0
         )
-    usable = sigma_m is not None and bool((sigma_m > 0).all())
-    sigma = sigma_m if usable else None
+    sigma = sigma_m if sigma_m is not None and bool((sigma_m > 0).all()) else None
     if o.full and (o.adjust, o.exchange) == ("rms", "none"):
         return means_of_shared(tin, points, sigma, initial, cropped)
     raw, exchanges = fit_of(tin, points, sigma), 0
