@@ -122,7 +122,8 @@ def returns_from_points(
     layout = layout_of([str(f.name) for f in message.fields])
     r_laser = np.empty((n, 3))
     for i, axis in enumerate("xyz"):
-        r_laser[:, i] = columns[axis]
+        with np.errstate(invalid="ignore"):  # a signalling NaN is one like another
+            r_laser[:, i] = columns[axis]
     t_ns, timed = return_times(columns, layout, stamp_ns(message), parameters)
     finite = np.isfinite(r_laser).all(axis=1)
     returns = Returns(
