@@ -20,8 +20,8 @@ from ladar_volume.uncertainty.pass_differences import UnitErrors
 
 #: Probability below which a group's budget is refuted.
 UNLIKELY = 1e-3
-#: Steps of the scoring at most, and the change of a component from which on they end.
-STEPS, SETTLED = 12, 0.02
+#: Steps of the scoring at most, and the relative change of a component below which they end.
+STEPS, SETTLED = 40, 1e-6
 #: Groups that are freed at most.
 FREED = 3
 

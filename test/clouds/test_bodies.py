@@ -177,6 +177,6 @@ def test_the_table_of_grounds():
 def test_passes_that_refute_the_budget_enlarge_what_the_bodies_share(monkeypatch):
     piles = {"volume": {"bodies": 0, "budget_check": "scale"}}
     plain = estimate(two_piles, **piles).C_bodies_m6
-    monkeypatch.setattr("ladar_volume.volume.estimator.budget_scale", lambda found, check: 4.0)
+    monkeypatch.setattr("ladar_volume.volume.estimator.variance_ratio", lambda *found: 4.0)
     assert estimate(two_piles, **piles).C_bodies_m6[0, 1] == pytest.approx(4.0 * plain[0, 1])
     assert abs(plain[0, 1]) > 0.0

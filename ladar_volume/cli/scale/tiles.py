@@ -149,6 +149,7 @@ def facts_of(found: Found, a: argparse.Namespace) -> dict[str, Any]:
         "outline_parts": [],
         "surfaces": [],
         "clean": {"how": "off", "strays": 0, "share": 0.0, "effect_m3": None},
+        "objects": [],
         "tiles": {
             "side_m": index.cloud.tile_m,
             "count": len(sums),

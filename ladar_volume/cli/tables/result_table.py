@@ -12,6 +12,9 @@ from rich.table import Table
 from ladar_volume.cli.verdict_lines import add_verdict_rows
 from ladar_volume.model.choices import SOURCE_LINES
 
+#: A component of less certainty than this, in units of the variance given, tells nothing.
+TOLD = 10.0
+
 
 def show_result(console: Console, result: Mapping[str, Any]) -> None:
     """Print a result dictionary as tables."""
@@ -160,13 +163,13 @@ def budget_table(result: Mapping[str, Any]) -> Table:
         "source",
         "sigma / m³",
         "share of variance",
-        "sigma of V if halved / m³",
+        "if halved / m³",
         title=title,
         title_justify="left",
     )
     told = told_by_passes(result)
     if told:
-        budget.add_column("passes say, times given")
+        budget.add_column("passes: times given")
     for source, variance in result["budget_m6"].items():
         if variance > 1e-4 * total:
             own, halved = max(variance, 0.0) ** 0.5, result["sigma_if_halved_m3"][source]
@@ -197,7 +200,7 @@ def told_by_passes(result: Mapping[str, Any]) -> dict[str, str]:
     out: dict[str, str] = {}
     for group in (result.get("passes") or {}).get("sources", ()):
         factor, sigma = group["factor"], group.get("sigma")
-        if sigma is None or not math.isfinite(sigma):
+        if sigma is None or not sigma < TOLD:
             continue
         times = math.sqrt(max(factor, 0.0))
         words = f"{times:.2g} ± {0.5 * sigma / max(times, math.sqrt(0.5 * sigma)):.1g}"
