@@ -314,5 +314,9 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--launch", action="store_true", help="the nodes by ros2 launch")
     arguments = parser.parse_args()
-    for name, value in run(arguments.runs, arguments.seed, arguments.launch).items():
+    figures = run(arguments.runs, arguments.seed, arguments.launch)
+    for name, value in figures.items():
         print(f"{name}: {value}")
+    whole = figures["logs complete, %"] == 100.0
+    wrong = figures["wrong volumes at the end"] or figures["nodes that did not end by themselves"]
+    sys.exit(1 if wrong or not whole else 0)
