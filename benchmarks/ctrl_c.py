@@ -183,6 +183,14 @@ class Launched:
         os.close(self.terminal)
 
 
+def kill_all(nodes: Processes | Launched, driver: subprocess.Popen[Any] | None) -> None:
+    """End what has not ended of the nodes and of what plays to them."""
+    nodes.kill()
+    if driver is not None:
+        driver.kill()
+        driver.wait()
+
+
 def interrupted(
     bag: Path, log: Path, rng: random.Random, launched: bool, early: bool
 ) -> dict[str, Any]:
@@ -208,10 +216,7 @@ def interrupted(
             nodes.interrupt(player, rng)
             said, codes = nodes.ends()
         finally:
-            nodes.kill()
-            if player is not None:
-                player.kill()
-                player.wait()
+            kill_all(nodes, player)
     return {"said": said, "codes": codes, "delay_s": delay, "took_s": time.monotonic() - began}
 
 

@@ -21,7 +21,16 @@ from typing import Any
 
 from mcap.reader import make_reader
 
-from benchmarks.ctrl_c import NODES, PRINTED_M3, READY, ROOT, Processes, recording, started
+from benchmarks.ctrl_c import (
+    NODES,
+    PRINTED_M3,
+    READY,
+    ROOT,
+    Processes,
+    kill_all,
+    recording,
+    started,
+)
 from ladar_volume.process.private_graph import private_graph
 
 #: Plays a recording without a look at who listens; stopped and begun anew, with publishers of its
@@ -85,10 +94,7 @@ def flown(
             nodes.interrupt(driver, rng)
             said, _ = nodes.ends()
         finally:
-            nodes.kill()
-            if driver is not None:
-                driver.kill()
-                driver.wait()
+            kill_all(nodes, driver)
     end = re.search(r"volume at the end: ([\d.]+) m3", said["volume_node"])
     return float(end[1]) if end else None, said["volume_node"][-200:]
 

@@ -350,6 +350,8 @@ def volume_with_verdict(
 
 def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, ...]:
     """What was taken out where triangles of area inside (m,) m² count, or beside them."""
+    if not surface.objects:
+        return ()
     tin, rows = surface.representation.tin, np.flatnonzero(inside > 0.0)
     middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
     out = []
