@@ -51,10 +51,19 @@ NEAR = ("volume/test_near_base.py", "volume/test_remaining_fold.py", HERE)
 DENSITY = ("change/test_density.py", HERE)
 RING = ("change/test_ring_fit.py", "change/test_excavation.py", "change/test_two_surfaces.py", HERE)
 EPOCHS = ("change/test_epochs.py", "change/test_detection.py", HERE)
-CLOUD_VOLUME = ("clouds/test_cloud_volume.py", "cli/test_volume_verb.py", HERE)
+CLOUD_VOLUME = (
+    *("clouds/test_volume_meaning.py", "clouds/test_cloud_volume.py", "cli/test_volume_verb.py"),
+    HERE,
+)
 NOISE = ("clouds/test_cloud.py", "clouds/test_scan_lines.py", HERE)
-PAIR = ("clouds/test_agreement.py", HERE)
-METRES = ("cli/test_file_units.py", "io/test_pointfiles.py", "io/test_las_attributes.py", HERE)
+PAIR = ("clouds/test_volume_meaning.py", HERE)
+METRES = (
+    "io/test_metres.py",
+    "cli/test_file_units.py",
+    "io/test_pointfiles.py",
+    "io/test_las_attributes.py",
+    HERE,
+)
 TIMES = ("io/test_point_layouts.py", "io/test_messages_bags.py", "io/test_bad_clouds.py", HERE)
 LOG = ("io/test_recorder.py", "test_planted_bugs.py", HERE)
 SETS = ("io/test_output_set.py", HERE)
@@ -409,8 +418,8 @@ LINES = (
     Line(
         "the base moves against its points",
         "clouds/cloud_volume.py",
-        "gradient[base.support] += ground_gradient",
-        "gradient[base.support] -= ground_gradient",
+        "gradient[base.support, k] += ground_residuals",
+        "gradient[base.support, k] -= ground_residuals",
         CLOUD_VOLUME,
     ),
     Line(
