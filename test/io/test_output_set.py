@@ -211,3 +211,59 @@ def test_what_another_writes_meanwhile_is_kept(tmp_path, monkeypatch):
     with output_set(folder, NAMES) as part:
         fill(part, "new")
     assert contents(folder) == dict.fromkeys(NAMES, "new") | {"log.mcap": "late"}
+
+
+class PowerCut:
+    """What the disk has confirmed: bytes of files and lists of names of folders, by their inodes
+    as they were when it was asked.
+    """
+
+    def __init__(self, monkeypatch):
+        self.files, self.folders, self._asked = {}, {}, os.fsync
+        monkeypatch.setattr(os, "fsync", self.confirm)
+
+    def confirm(self, descriptor):
+        self._asked(descriptor)
+        number, path = os.fstat(descriptor).st_ino, Path(f"/proc/self/fd/{descriptor}").resolve()
+        if path.is_dir():
+            self.folders[number] = {p.name: p.lstat().st_ino for p in path.iterdir()}
+        else:
+            self.files[number] = path.read_bytes()
+
+    def left(self, number):
+        """What a power cut leaves of a folder: names, and bytes or what is in them; None for what
+        was never confirmed. Parts of a run that was killed go with the next one.
+        """
+        if number not in self.folders:
+            return self.files.get(number)
+        names = self.folders[number].items()
+        return {name: self.left(own) for name, own in names if not name.endswith(".part")}
+
+
+def tree(folder):
+    return {p.name: tree(p) if p.is_dir() else p.read_bytes() for p in folder.iterdir()}
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="paths of descriptors")
+@pytest.mark.parametrize("kind", ["file", "folder", "exchanged", "in turn"])
+def test_what_is_there_when_the_block_ends_is_there_after_a_power_cut(kind, tmp_path, monkeypatch):
+    disk, home = PowerCut(monkeypatch), tmp_path / "home"
+    home.mkdir()
+    if kind == "file":
+        with atomic_file(home / "a.txt") as path:
+            path.write_bytes(b"new" * 100)
+    elif kind == "folder":
+        with new_folder(home / "made") as path:
+            (path / "deep").mkdir(parents=True)
+            (path / "deep" / "a.txt").write_bytes(b"new")
+    else:
+        (home / "out").mkdir()
+        if kind == "in turn":
+            monkeypatch.setattr(sets, "_try_exchange", lambda *given: False)
+        with output_set(home / "out", ["a.txt", "b.txt"]) as part:
+            for name in ("a.txt", "b.txt"):
+                (part / name).write_bytes(name.encode() * 50)
+    monkeypatch.undo()
+    place = home / "out" if kind == "in turn" else home
+    assert tree(place)
+    assert disk.left(place.stat().st_ino) == tree(place)

@@ -2,6 +2,7 @@
 by the names of the fields, and a unit that no scanner has is refused.
 """
 
+from fractions import Fraction
 from types import SimpleNamespace as Message
 
 import numpy as np
@@ -180,6 +181,19 @@ def test_every_drivers_cloud_is_read_whole(driver, form):
     assert np.abs(returns.t_ns - STAMP - t).max() <= 500 and not losses
     named = layout_of([f.name for f in message.fields]).driver
     assert named == driver.removesuffix(" native").removesuffix(" offsets")
+
+
+@pytest.mark.parametrize("unit", [1, 1_000, 1_000_000, S])
+def test_times_since_1970_are_read_to_the_nearest_nanosecond(unit):
+    """Of what a double holds of them, exactly, by whole fractions."""
+    _, _, t, _ = sweep(400)
+    given = (STAMP + t) / (S / unit)
+    place = dict(zip("xyz", sweep(400)[0].T, strict=True))
+    fields = (*XYZ, ("timestamp", 12, "f8"))
+    returns, _ = read(cloud(20, fields, place | {"timestamp": given}))
+    exact = [Fraction(float(v)) * (S // unit) for v in given]
+    off = [abs(Fraction(int(found)) - e) for found, e in zip(returns.t_ns, exact, strict=True)]
+    assert max(off) <= Fraction(1, 2)
 
 
 def changed(driver, **columns):

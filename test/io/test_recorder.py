@@ -436,3 +436,17 @@ def test_only_files_that_this_log_wrote_are_deleted(tmp_path):
     assert recorder.deleted == ["log.mcap"] and "disk full" in recorder.problem
     names = {f.name for f in tmp_path.iterdir()}
     assert {"log_1.mcap", "log_2.mcap", "log_3.mcap", "log_4.mcap", "kept"} <= names
+
+
+def test_each_message_keeps_when_it_was_sent_and_its_number(tmp_path):
+    """Numbers have 32 bits and begin anew; without a time of sending it is that of the log."""
+    sent = [(5 * S, 3 * S, 7), (6 * S, None, 70_000), (7 * S, 6 * S, 2**32 + 9)]
+    with McapLog(parameters(tmp_path)) as log:
+        for t, published, number in sent:
+            log.write("/chat", KIND, cdr("words"), t, published, number)
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        found = [
+            (m.log_time, m.publish_time, m.sequence)
+            for _, _, m in make_reader(stream).iter_messages()
+        ]
+    assert found == [(5 * S, 3 * S, 7), (6 * S, 6 * S, 70_000), (7 * S, 6 * S, 9)]
