@@ -29,15 +29,18 @@ from typing import Any
 
 from benchmarks.planted import ROOT, SECONDS, passes_all, planted_in
 
+#: Tests of every room, and of the log.
+EVERY = ("test/test_room_formulas.py", "test/test_frozen_records.py")
+LOG = ("test/io/test_recorder.py", "test/test_planted_bugs.py", "test/test_frozen_records.py")
 #: Rooms, and the tests of each after those that name the module.
 ROOMS = {
-    "georeference": ("test/georeference", "test/test_room_formulas.py"),
-    "rmls": ("test/rmls", "test/test_room_formulas.py"),
-    "uncertainty": ("test/uncertainty", "test/test_room_formulas.py"),
-    "volume": ("test/volume", "test/test_room_formulas.py"),
-    "io/mcap_log.py": ("test/io/test_recorder.py", "test/test_planted_bugs.py"),
-    "io/mcap_recovery.py": ("test/io/test_recorder.py", "test/test_planted_bugs.py"),
-    "io/recorder.py": ("test/io/test_recorder.py", "test/test_planted_bugs.py"),
+    "georeference": ("test/georeference", *EVERY),
+    "rmls": ("test/rmls", *EVERY),
+    "uncertainty": ("test/uncertainty", *EVERY),
+    "volume": ("test/volume", *EVERY),
+    "io/mcap_log.py": LOG,
+    "io/mcap_recovery.py": LOG,
+    "io/recorder.py": LOG,
 }
 ARITHMETIC, ORDER = ("Add", "Sub", "Mul", "Div"), ("Lt", "LtE", "Gt", "GtE", "Eq", "NotEq")
 SINGLE = (
