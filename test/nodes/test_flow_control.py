@@ -42,7 +42,10 @@ def test_without_news_one_at_a_time_goes_on(monkeypatch):
     monkeypatch.setattr(flow_control, "ACKNOWLEDGEMENT_TIMEOUT_S", 0.2)
     one, began = UnacknowledgedBytes(), time.monotonic()
     one.record_sent(1, MAX_IN_FLIGHT_BYTES + 1)
-    assert one.may_send(wait=True) and time.monotonic() - began >= 0.15
+    went = threading.Event()
+    waiting = threading.Thread(target=lambda: one.may_send(wait=True) and went.set(), daemon=True)
+    waiting.start()
+    assert went.wait(10.0) and time.monotonic() - began >= 0.15
     assert one.may_send() is False  # the next one waits as long again
 
 
