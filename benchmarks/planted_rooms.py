@@ -75,7 +75,7 @@ LOGGER = (
 )
 FLOW = ("nodes/test_flow_control.py", "nodes/test_passes_health.py", "nodes/test_flush.py", HERE)
 CDR = ("io/test_cdr.py", "nodes/test_epoch_node.py", HERE)
-CONVERT = ("nodes/test_epoch_node.py", "nodes/test_flush.py", HERE)
+CONVERT = ("nodes/test_pose_messages.py", "nodes/test_epoch_node.py", "nodes/test_flush.py", HERE)
 
 LINES = (
     # georeference

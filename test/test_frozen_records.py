@@ -22,9 +22,7 @@ def loose_records(name):
     """Names of the module's own records whose fields may be written."""
     module = importlib.import_module(name)
     own = [c for c in vars(module).values() if dataclasses.is_dataclass(c)]
-    return {
-        c.__name__ for c in own if c.__module__ == name and not c.__dataclass_params__.frozen
-    }
+    return {c.__name__ for c in own if c.__module__ == name and not c.__dataclass_params__.frozen}
 
 
 @pytest.mark.parametrize(
