@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 from volume_surfaces import cone, platform, surface_update
 
 from ladar_volume.io import cdr
@@ -90,3 +92,36 @@ def test_members_align_to_their_own_size():
         + np.float64(math.pi).tobytes()
         + b"\x04\x00\x00\x00abc\x00\x07\x00\x00\x00"
     )
+
+
+def base_pose(estimate, beta, C=None):
+    """Height, rotation and covariance of the message of a plane with these parameters."""
+    C = np.eye(3) if C is None else C
+    base = dataclasses.replace(estimate.base, beta=np.asarray(beta), C_beta=C)
+    data = cdr.ground_plane(dataclasses.replace(estimate, base=base), "map")
+    pose = TYPES.deserialize_cdr(data, "geometry_msgs/msg/PoseWithCovarianceStamped").pose
+    q = pose.pose.orientation
+    turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+    return pose.pose.position.z, turn, np.asarray(pose.covariance).reshape(6, 6)
+
+
+def test_the_pose_of_a_base_lies_in_it(estimate):
+    for beta in ([1.0, 0.0, 0.0], [1.0, 0.2, -0.3], [-2.0, -0.4, 0.1]):
+        height, turn, _ = base_pose(estimate, beta)
+        x, y, z = turn.as_matrix().T
+        for axis in (x, y):
+            assert axis[2] == pytest.approx(beta[1] * axis[0] + beta[2] * axis[1])
+        assert z[2] > 0.0 and x[1] == pytest.approx(0.0) and height == beta[0]
+
+
+def test_the_covariance_of_a_base_is_of_its_height_and_its_tilts(estimate):
+    """By small changes of each parameter of a level base."""
+    root, h = np.array([[0.02, 0.0, 0.0], [0.01, 0.003, 0.0], [-0.004, 0.001, 0.002]]), 1e-6
+    C = root @ root.T
+    _, level, found = base_pose(estimate, [3.0, 0.0, 0.0], C)
+    J = np.zeros((6, 3))
+    for k in range(3):
+        height, turn, _ = base_pose(estimate, np.array([3.0, 0.0, 0.0]) + h * np.eye(3)[k])
+        J[2, k] = (height - 3.0) / h
+        J[3:, k] = (turn * level.inv()).as_rotvec() / h
+    np.testing.assert_allclose(found, J @ C @ J.T, atol=1e-9)
