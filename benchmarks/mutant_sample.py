@@ -5,8 +5,9 @@ or, a condition reversed, True for False, a number by one, a loop left out, a mi
 that fail at once, as ``+`` to ``<<`` or another variable's name, are left out: they flatter the
 score. So are changes in annotations and of docstrings, which change nothing.
 
-A mutant is tried against the tests of its room, those first that name its module. ``--file``
-chooses among the modules, ``--plain`` leaves out those with compiled kernels, which take minutes.
+A mutant is tried against the tests of its room and those that import its module, these first.
+``--file`` chooses among the modules, ``--plain`` leaves out those with compiled kernels, which take
+minutes.
 
 ``python -m benchmarks.mutant_sample [--count N] [--seed S] [--plain] [--file WORD]``; prints each
 survivor as a difference, and the score with its 95 % interval (Wilson).
@@ -122,13 +123,15 @@ def changed(mutant: Mutant, text: str) -> str:
 
 
 def tests_of(mutant: Mutant, tree: Path) -> list[str]:
-    """Tests of the room; first files that name the module."""
+    """Tests of the room, and of others that import the module; first files that name it."""
     start = next(r for r in ROOMS if mutant.file.startswith(r))
-    name = Path(mutant.file).stem
+    name, dotted = Path(mutant.file).stem, mutant.file.removesuffix(".py").replace("/", ".")
     own = [
         p for t in ROOMS[start] for p in ([tree / t] if t.endswith(".py") else of_folder(tree / t))
     ]
-    own.sort(key=lambda p: name not in p.read_text(encoding="utf-8"))
+    text = {p: p.read_text(encoding="utf-8") for p in sorted((tree / "test").rglob("test_*.py"))}
+    own += [p for p in text if p not in own and f"ladar_volume.{dotted} import" in text[p]]
+    own.sort(key=lambda p: name not in text[p])
     return [str(p.relative_to(tree)) for p in own]
 
 

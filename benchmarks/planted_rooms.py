@@ -34,7 +34,11 @@ class Line:
 
 HERE = "test_room_formulas.py"
 GEO = ("georeference", HERE)
-RMLS = ("rmls/test_filter_twins.py", "rmls/test_filter_variance.py", HERE)
+RMLS = (
+    *("rmls/test_filter_twins.py", "rmls/test_filter_variance.py", "rmls/test_filter_admission.py"),
+    "rmls/test_filter_surfaces.py",
+    HERE,
+)
 PRISMOIDS = ("volume/test_prismoids.py", "volume/test_cutfill.py", "volume/test_oracle.py", HERE)
 FLOORS = ("volume/test_floors.py", HERE)
 ESTIMATOR = (

@@ -230,3 +230,32 @@ def test_residuals_that_no_group_explains_are_still_a_doubt():
     found = pass_agreement(patch_scatter(rough, nav, BUDGET), rough, nav, BUDGET, 0.1)
     groups = [s for s in found.sources if s.name != "noise"]
     assert found.refuted and all(s.scale == 1.0 for s in groups)
+
+
+def test_sigma_of_a_factor_is_its_spread():
+    """Of errors that are drawn with nine times the variance of the first group."""
+    rng, k = np.random.default_rng(6), 40
+    A, B = rng.normal(size=(2, k, k)) / math.sqrt(k)
+    part = {"a": A @ A.T, "b": B @ B.T}
+    root = np.linalg.cholesky(0.2 * np.eye(k) + 9.0 * part["a"] + part["b"])
+    found = [
+        variance_components(UnitErrors(root @ rng.normal(size=k), 0.2, part)) for _ in range(150)
+    ]
+    freed = [one["a"] for one in found if one["a"].freed and not one["b"].freed]
+    assert len(freed) > 140
+    # of the estimate itself: that of its own spread, the factor being in the information
+    scaled = [(c.factor - 9.0) / c.sigma for c in freed]
+    assert np.std(scaled) == pytest.approx(1.0, abs=0.25)
+    assert np.mean([c.factor for c in freed]) == pytest.approx(9.0, rel=0.1)
+    others = [one["b"] for one in found if not one["b"].freed]
+    assert np.mean([c.factor for c in others]) == pytest.approx(1.0, abs=0.3)
+
+
+def test_bins_of_which_no_pose_is_known_are_left_out():
+    made = patches()[0]
+    nav, rows = flight()[0], np.arange(200)
+    late = dataclasses.replace(made, nav_bin=made.nav_bin + 3)  # the last three are past the flight
+    looks = steady_looks(late, rows, nav)
+    assert looks.bins.tolist() == (FIRST + np.arange(3, BINS)).tolist()
+    np.testing.assert_array_equal(looks.state, looks.slot + 3)
+    np.testing.assert_array_equal(late.nav_bin[looks.entry], looks.bins[looks.slot])

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.scan_frame import frame_along
+from ladar_volume.volume import published_methods
 from ladar_volume.volume.cutfill import cut_sequence
 from ladar_volume.volume.floors import (
     event_gradient,
@@ -273,3 +275,23 @@ def test_offset_slope_and_front_of_the_methods():
     with pytest.raises(VolumeError) as caught:
         method_two(body, none)
     assert caught.value.reason == "volume_no_triangle"
+
+
+def test_a_million_levels_are_too_many_and_one_fewer_is_not(monkeypatch):
+    body, bare = box(floor=0.0, top=1.0), box(floor=0.0, top=0.0)
+    high = float(body.vertices[:, 2].max() - zero_fill_level(body, bare))
+    with pytest.raises(VolumeError) as caught:
+        front_level(body, bare, high / 1e6)
+    assert caught.value.reason == "volume_levels" and caught.value.value == high / 1e6
+    counts = []
+
+    def some(tin, level):
+        counts.append(len(level))
+        cut = np.where(level < 0.5, float(tin is body), 0.0)
+        return SimpleNamespace(cut_m3=cut)
+
+    monkeypatch.setattr(published_methods, "cut_sequence", some)
+    step = high / 999_999.5
+    # the last level at which the two differ is just below a half: one step above it
+    assert front_level(body, bare, step) == pytest.approx(0.5 + step / 2.0, abs=0.6 * step)
+    assert counts == [1_000_001] * 2
