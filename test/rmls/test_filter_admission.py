@@ -1,6 +1,7 @@
 """Admission of points against the plain twins."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ladar_volume.georeference.point_jacobian import bracket
 from ladar_volume.math.se3 import matrix_from_quaternion
@@ -13,6 +14,7 @@ def test_admission_and_geometry_are_those_of_the_twins(scene):
     rng = np.random.default_rng(0)
     states = scene.platform()
     states.q_map_body[::3] *= -1  # the same attitude
+    states.omega_body[:] = rng.normal(size=states.omega_body.shape)
     states.segment[400:] = 1
     states.segment[700:710] = -1
     states.segment[710:] = 2
@@ -47,6 +49,27 @@ def test_admission_and_geometry_are_those_of_the_twins(scene):
     same = np.where((seen[:, :4] * expected[:, :4]).sum(axis=1) < 0, -1.0, 1.0)
     assert np.abs(seen[:, :4] * same[:, None] - expected[:, :4]).max() < 1e-9
     assert np.abs(seen[:, 4:] - expected[:, 4:]).max() < 1e-7
+
+
+def test_a_point_moves_with_a_platform_that_turns_and_drives():
+    """By small steps of a rigid motion."""
+    rng = np.random.default_rng(5)
+    start, h = Rotation.random(random_state=6), 1e-6
+    p, v, w, point = rng.normal(size=(4, 3)) * [[3.0], [2.0], [0.7], [20.0]]  # v, w: of the body
+    arm = start.inv().apply(point - p)
+
+    def place(t):
+        turn = start * Rotation.from_rotvec(w * t)
+        return p + start.apply(v) * t + turn.apply(arm)
+
+    seen = np.zeros((1, NUMBERS))
+    states = point_admission.StateArrays(*(a[None] for a in (p, start.as_quat(), v, w)))
+    at = point_admission.Bracket(np.zeros(1, np.int64), np.zeros(1))
+    point_admission.geometry(
+        np.zeros(1, np.int64), point[None], at, states, np.array([0.1, 0.2, -0.1]), seen
+    )
+    np.testing.assert_allclose(seen[0, 7:], (place(h) - place(-h)) / (2.0 * h), rtol=1e-6)
+    np.testing.assert_allclose(seen[0, 4:7], arm - [0.1, 0.2, -0.1])
 
 
 def test_kept_geometry_is_rounded_to_its_own_units():
