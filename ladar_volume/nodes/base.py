@@ -228,7 +228,8 @@ class StageNode(LifecycleNode, ABC):
             self._group,
             Clock(clock_type=STEADY),
         )
-        self.create_service(Trigger, "~/reset", self._reset, callback_group=self._group)
+        answers = MutuallyExclusiveCallbackGroup()
+        self.create_service(Trigger, "~/reset", self._reset, callback_group=answers)
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._worker.start()
         return TransitionCallbackReturn.SUCCESS
@@ -340,19 +341,24 @@ class StageNode(LifecycleNode, ABC):
         """A service's answer once all that came before has been worked off: two numbers, which the
         worker sets on the future that it finds in its queue as ``flush``.
         """
-        flushed = Future()
-        if not self.offer("flush", flushed):
+        return await self._worked_off("flush", response)
+
+    async def _worked_off(self, kind: str, response: Trigger.Response) -> Trigger.Response:
+        """The answer that the worker sets on the future that it finds in its queue."""
+        done = Future()
+        if not self.offer(kind, done):
             response.success, response.message = False, "too much waits already"
             return response
-        while not flushed.done():
+        while not done.done():
             await NextRound()
-        response.success, response.message = True, str(flushed.result())
+        response.success, response.message = True, str(done.result())
         return response
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.offer("reset", None)
-        response.success, response.message = True, "reset"
-        return response
+    async def _reset(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Once the node has begun anew."""
+        return await self._worked_off("reset", response)
 
     # worker
     # ----------------------------------------------------------------------------------------------
@@ -469,6 +475,9 @@ class StageNode(LifecycleNode, ABC):
             kind, payload = item
             self._busy, began = True, time.monotonic()
             self._run_guarded(partial(self.work, kind, payload))
+            if isinstance(payload, Future) and not payload.done():  # whoever waits is told
+                payload.set_result(kind)
+                self.wake()
             self._run_guarded(self.idle)
             self.health.record_work(kind, time.monotonic() - began, _stamp(payload))
             self._busy = False

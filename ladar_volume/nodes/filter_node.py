@@ -72,6 +72,8 @@ class FilterNode(StageNode):
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
         #: Stamps of the last part sent, and of the last mapped points that are in the surface.
         self._sent_ns = self._taken_ns = 0
+        #: Messages of points and states for the present surface.
+        self._since_begin = 0
         self._ahead = UnacknowledgedBytes()
         self.create_subscription(
             Time,
@@ -89,9 +91,13 @@ class FilterNode(StageNode):
 
     def work(self, kind: str, item: Any) -> None:
         """Hand points and states to the stage. A flush sends all that was put off; its answer is
-        the stamps (ns) of the last part sent and of the last mapped points taken.
+        the stamps (ns) of the last part sent and of the last mapped points taken. That of a reset
+        is the stamp of the last part of the surface that ends, and how many messages were taken
+        for it.
         """
         if kind == "reset":
+            item.set_result(f"{self._sent_ns} {self._since_begin}")
+            self.wake()
             return self._start_over()
         if kind == "flush":
             try:
@@ -104,12 +110,14 @@ class FilterNode(StageNode):
             return self._start_over() if self.take_datum(datum_of(item)) else None
         verdict = self._passes.take(kind, stamp_ns(item))
         if verdict == "old":
+            self.counts["points"] += item.width if kind == "points" else 0
             return self.losses.add("message_before_restart")
         if verdict == "wait":
             return self._unsure.append(item)
         if verdict == "new":
             self._sent_ns = self._taken_ns = 0
             self._start_over()
+        self._since_begin += 1
         if kind == "points":
             return self._add(item)
         self._states.append(
@@ -135,7 +143,7 @@ class FilterNode(StageNode):
         self.stage = SurfaceFilter(self.parameters, deferring=True)
         # taken, like those in the stage, though the surface they belong to has ended
         self.counts["states"] += len(self._states)
-        self._states, self._fresh = [], False
+        self._states, self._fresh, self._since_begin = [], False, 0
         self._ahead.forget()
 
     def _hand_over(self) -> None:

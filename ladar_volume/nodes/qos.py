@@ -17,6 +17,10 @@ LATCHED = QoSProfile(
 STREAM = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE
 )
+#: The other nodes' diagnostics.
+REPORTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.RELIABLE
+)
 #: Copies of the first inputs, seconds of them at once.
 HANDED_ON = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=10_000, reliability=ReliabilityPolicy.RELIABLE

@@ -8,7 +8,7 @@ import dataclasses
 import json
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.task import Future
+from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Empty, Float64
@@ -48,12 +48,14 @@ from ladar_volume.nodes.convert import (
     table_message,
     time_message,
 )
+from ladar_volume.nodes.executor_rounds import deserialize
 from ladar_volume.nodes.inputs.first_listeners import JOINED
 from ladar_volume.nodes.previous_epoch import SinceEpoch
-from ladar_volume.nodes.qos import LATCHED, STREAM
+from ladar_volume.nodes.qos import LATCHED, REPORTS, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.services.catch_up import CatchUp
 from ladar_volume.nodes.services.closed_bodies import ClosedBodies
+from ladar_volume.nodes.services.new_surface import NewSurface
 from ladar_volume.nodes.stream_passes import StreamPasses
 from ladar_volume.nodes.watch.fix_step_lines import doubts_from_lines
 from ladar_volume.nodes.watch.upstream_nodes import UpstreamNodes
@@ -101,7 +103,6 @@ class VolumeNode(StageNode):
         self.counts = {"parts": 0, "estimates": 0}
         self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
         self._newest_part, self._late = 0, Verdict()
-        self._joined = False
         self._begun: Any = None
         self._others = UpstreamNodes(self.get_namespace(), UPSTREAM)
         self._make_publishers()
@@ -109,12 +110,22 @@ class VolumeNode(StageNode):
         self.listen("patches", PointCloud2, "patches", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
         self.hear_datum()
-        self.create_subscription(
-            DiagnosticArray, "/diagnostics", self._others.take, 50, callback_group=self._group
-        )
+        self._hear_others()
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
+        self._new_surface = NewSurface(self, lambda answer: self.offer("joined", answer))
         self._make_bodies()
         self._make_services()
+
+    def _hear_others(self) -> None:
+        """Their last words count, too, where all end at once."""
+
+        def take(data: bytes, info: Mapping[str, Any]) -> None:
+            array = deserialize(data, DiagnosticArray)
+            if array is not None:
+                self._others.take(array)
+
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        self.subscribe("/diagnostics", DiagnosticArray, REPORTS, take, quiet)
 
     def _make_bodies(self) -> None:
         """What ``volume.kind: bodies`` needs beside the surface."""
@@ -123,9 +134,9 @@ class VolumeNode(StageNode):
         if self.parameters.volume.kind == "bodies":
             self._closed = closed = ClosedBodies(self.parameters, self.offer)
             self.listen("mapped", PointCloud2, "points_mapped", STREAM)
-            self._catch_up = CatchUp(self, lambda: self._newest_part, lambda: closed.last_ns)
+            self._catch_up = CatchUp(self, self._newest_whole, lambda: closed.last_ns)
         else:
-            self._catch_up = CatchUp(self, lambda: self._newest_part)
+            self._catch_up = CatchUp(self, self._newest_whole)
 
     def _make_publishers(self) -> None:
         self._tin = self.create_publisher(Marker, "tin", LATCHED)
@@ -156,10 +167,16 @@ class VolumeNode(StageNode):
         total.merge(self.stage.screen_losses)
         return total
 
+    def _newest_whole(self) -> int:
+        """Stamp (ns) of the last part of the surface, 0 while poses for it are on their way."""
+        return 0 if self.stage.awaits_path else self._newest_part
+
     def _start_over(self, stage: VolumeEstimator | None = None, keep_returns: bool = False) -> None:
         self.losses.merge(self.stage.losses)
-        if self._closed is not None and not keep_returns:
-            self._closed.clear()
+        if not keep_returns:
+            self._new_surface.forget()
+            if self._closed is not None:
+                self._closed.clear()
         self.stage, self._half, self._parts = (
             VolumeEstimator(self.parameters) if stage is None else stage,
             {},
@@ -188,7 +205,10 @@ class VolumeNode(StageNode):
     def _work(self, kind: str, item: Any) -> None:
         if kind == "reset":
             self._since = SinceEpoch()
+            self._new_surface.again(wanted=True)
             return self._start_over()
+        if kind == "joined":
+            return self._begin(item)
         if kind == "parameters":
             self._due = True
             return None
@@ -214,6 +234,9 @@ class VolumeNode(StageNode):
             return None
         if kind == "platform":
             self._states.append(item)
+            if self.stage.awaits_path:
+                self._hand_over()
+                self.wake()
             return None
         return self._pair(kind, item)
 
@@ -262,13 +285,20 @@ class VolumeNode(StageNode):
         self.counts["parts"] += 1
         self._parts.append(update)
         if update.complete:  # half an update would lack the cross covariances with its other half
-            self._hand_over()
-            for part in self._parts:
-                self.stage.add(part)
-            self._parts, self._due, self._newest_part = [], True, key
+            parts, self._parts = self._parts, []
             self._taken.publish(time_message(key))
-            if self._catch_up.waits:
-                self.wake()
+            if self._new_surface.waits:
+                self._new_surface.hold(key, parts)
+            else:
+                self._take_update(key, parts)
+
+    def _take_update(self, key: int, parts: list[FilterUpdate]) -> None:
+        self._hand_over()
+        for part in parts:
+            self.stage.add(part)
+        self._due, self._newest_part = True, key
+        if self._catch_up.waits:
+            self.wake()
 
     def _hand_over(self) -> None:
         if self._states:
@@ -280,26 +310,28 @@ class VolumeNode(StageNode):
         """Estimate when an update is complete: at once when nothing more waits, else at most half
         of the time, so that a late estimator skips updates but does not fall behind.
         """
-        if not self._joined and self._filter_reset.service_is_ready():
+        if self._new_surface.due():
             self._join()
         waited = time.monotonic() - self._estimate_began
         if self._due and (self.queue.empty() or waited > 2.0 * self._last_estimate_s):
+            if self.stage.awaits_path:  # topics keep no order among each other
+                return
             with self._lock:
                 self._compute()
 
     def _join(self) -> None:
-        """Have the filter begin anew: of a surface from before this node was there, patches and
-        times of flight would be missing here. The path so far stays: returns that the filter had
-        not yet read when it began anew refer to it.
+        """Have the filter begin anew. The path so far stays: returns that the filter had not yet
+        read when it began anew refer to it.
         """
-        self._joined = True
-        self._filter_reset.call_async(Trigger.Request()).add_done_callback(self._say_joined)
         with self._lock:
             self._hand_over()
             self._start_over(self.stage.with_same_path(), keep_returns=True)
+            self._new_surface.ask()
 
-    def _say_joined(self, _: Future) -> None:
-        """georeference_node sends from when the filter has begun for this node."""
+    def _begin(self, answer: tuple[int, int]) -> None:
+        """The filter has begun for this node: from now on georeference_node sends."""
+        for key, parts in self._new_surface.begin(answer):
+            self._take_update(key, parts)
         if self._begun is None:
             self._begun = self.create_publisher(Empty, JOINED, LATCHED)
 
@@ -307,7 +339,7 @@ class VolumeNode(StageNode):
         """The last estimate, if anything is new, said once more in the log."""
         try:
             with self._lock:
-                if self._due:
+                if self._due or (self._states and self._last):  # the last poses count in sigma
                     self._compute()
                 if self._closed is not None and self._closed.ended():
                     self._take_bodies()
@@ -324,10 +356,12 @@ class VolumeNode(StageNode):
             if v is None
             else f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
         )
-        torn = bool(self._half or self._parts)
-        if self.cut_off or torn:
-            waiting = self._others.waiting_text() if self.cut_off else TORN
-            log.warning(f"incomplete volume: {found}; {waiting}: replay the log")
+        torn = TORN if self._half or self._parts or self.stage.awaits_path else ""
+        waiting = self._others.waiting_text() if self.cut_off else ""
+        untaken = self._others.untaken_text()
+        lacking = "; ".join(filter(None, (waiting or torn, self._new_surface.words(), untaken)))
+        if lacking:
+            log.warning(f"incomplete volume: {found}; {lacking}: replay the log")
         elif v is None:
             log.info(f"no volume at the end: {self._why_not}")
         else:
@@ -344,10 +378,9 @@ class VolumeNode(StageNode):
             estimate = self.stage.estimate(naive)
         except LadarVolumeError as error:
             self._why_not, self._last = str(error), None  # an older volume is none of these data
-            if (
-                error.reason == "volume_no_navigation"
-            ):  # the filter held returns from before this node listened: once more
-                self._joined = False
+            if error.reason == "volume_no_navigation" and not self.stage.awaits_path:
+                # the filter held returns from before this node listened: once more
+                self._new_surface.again(wanted=False)
             self._publish_volumes([])  # a pit is no body above its ground, and yet a change
             raise
         finally:
@@ -395,6 +428,7 @@ class VolumeNode(StageNode):
         verdict = estimate.volume.verdict
         step = doubts_from_lines(self._others.lines("georeference_node"), verdict)
         verdict = verdict + self._others.verdict() + self._late + step
+        verdict = verdict + self._new_surface.verdict()
         volume = dataclasses.replace(estimate.volume, verdict=verdict)
         estimate = dataclasses.replace(estimate, volume=volume)
         self._more = self.stage.more_data()
@@ -503,7 +537,7 @@ class VolumeNode(StageNode):
     def status(self) -> dict[str, Any]:
         """The present estimate against the wanted tolerance."""
         lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {
-            "joined": int(self._joined),
+            "joined": int(self._new_surface.joined),
             "pending_estimate": int(self._due),
             "last_estimate_s": f"{self._last_estimate_s:.2f}",
             "restarts": self._passes.begun,

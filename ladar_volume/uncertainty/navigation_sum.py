@@ -86,6 +86,11 @@ class NavigationBins:
         out._roots, out._rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
         return out
 
+    @property
+    def newest(self) -> int:
+        """The last bin with a state, -1 without one."""
+        return int(self.index[-1]) if len(self.index) else -1
+
     def mean(self, bins: I64) -> tuple[F64, I64]:
         """Mean C_nav (k, 6, 6) and number of states (k,) of bins (k,). Raises :class:`VolumeError`
         for a bin without a state.

@@ -91,6 +91,7 @@ class VolumeEstimator:
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
         self._unseen_m6 = 0.0
         self._t_ns = 0
+        self._newest_bin = -1
 
     @classmethod
     def from_updates(
@@ -123,6 +124,14 @@ class VolumeEstimator:
         self.losses.merge(self.store.losses)
         self.store.losses = Losses()
         self._t_ns = max(self._t_ns, update.t_ns)
+        self._newest_bin = max(self._newest_bin, int(update.patches.nav_bin.max(initial=-1)))
+
+    @property
+    def awaits_path(self) -> bool:
+        """Whether the newest of the surface was seen after the last platform state: where states
+        and surface come on two ways, states are then still on theirs.
+        """
+        return self._newest_bin > self._navigation.newest
 
     def estimate(self, naive: bool = True) -> Estimate:
         """The volume from everything so far: :meth:`survey`, :meth:`base` and :meth:`volume`, whose

@@ -84,3 +84,13 @@ def test_a_log_without_a_sensors_topic_says_what_was_there_live(tmp_path):
         assert "2 clouds and 73 attitudes live" in absent_words(bag)
         with pytest.raises(BagError, match=r"no topic for cloud.*2 clouds and 73 attitudes live"):
             Replay(bag, Parameters(), {})
+
+
+def test_messages_that_found_no_room_live_are_more_than_live(tmp_path):
+    counts = {"cloud": 10, "imu": 100}
+    full = report(0, georeference_node=counts)
+    values = full.status[0].values
+    values.append(T["diagnostic_msgs/msg/KeyValue"]("lost_message_queue_full_cloud", "4"))
+    path = log(tmp_path / "log", [full], {"velodyne_points": (CLOUD, 10), "imu/data": (IMU, 100)})
+    with BagReader(path) as bag:
+        assert more_than_live(heard_and_logged(bag, TOPICS)) == {"cloud": 4}

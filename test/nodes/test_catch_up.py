@@ -51,7 +51,10 @@ def asked():
     return json.loads(future.result().message)
 
 
-until(lambda: player.ready() and compute.service_is_ready() and volume._joined, "the nodes")
+until(
+    lambda: player.ready() and compute.service_is_ready() and volume.status()["joined"],
+    "the nodes",
+)
 # what arrives is held until the call stands: at it all points are on their way
 put, held, lock = mapped.queue.put_nowait, [], threading.Lock()
 

@@ -56,7 +56,7 @@ pubs = {
 }
 spinners = [Spinner(n) for n in (geo, filter_, volume, tester)]
 until = lambda done: [time.sleep(0.05) for _ in range(2400) if not done()]
-until(lambda: all(p.get_subscription_count() for p in pubs.values()) and volume._joined)
+until(lambda: all(p.get_subscription_count() for p in pubs.values()) and volume.status()["joined"])
 time.sleep(0.5)
 tried = {}
 for node, name, value in (

@@ -8,7 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ladar_volume.model.records import FilteredPoints, FilterUpdate, Patches, PlatformStates
+from ladar_volume.model.records import (
+    FilteredPoints,
+    FilterUpdate,
+    Patches,
+    PlatformStates,
+    select,
+)
 from ladar_volume.uncertainty.patch_table import ROWS, ragged_index
 
 BIN_NS = 1_000_000_000
@@ -137,6 +143,13 @@ def surface_update(
         local,
     )
     return FilterUpdate(T0 + 100 * BIN_NS, np.zeros(0, np.int64), points, patches)
+
+
+def piece(update, rows):
+    """The part of an update with the given patches (indices)."""
+    patches = take_patches(update.patches, rows)
+    points = select(update.points, np.isin(update.points.patch, patches.key))
+    return FilterUpdate(update.t_ns, np.zeros(0, np.int64), points, patches)
 
 
 def platform(seconds: int = 100, rate: int = 10, position=0.02, attitude=2e-4) -> PlatformStates:

@@ -8,11 +8,10 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
-from volume_surfaces import BIN_NS, T0, cone, platform, surface_update, take_patches
+from volume_surfaces import BIN_NS, T0, cone, piece, platform, surface_update, take_patches
 
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import FilterUpdate, select
 from ladar_volume.uncertainty.volume_budget import vertical_sigma
 from ladar_volume.volume.estimator import VolumeEstimator
 
@@ -33,13 +32,6 @@ def estimator(update, p=None):
 
 def sloped(x, y):
     return cone(x, y, slope=(0.02, -0.05)) + 3.0
-
-
-def piece(update, rows):
-    """The part of an update with the given patches (indices)."""
-    patches = take_patches(update.patches, rows)
-    points = select(update.points, np.isin(update.points.patch, patches.key))
-    return FilterUpdate(update.t_ns, np.zeros(0, np.int64), points, patches)
 
 
 def same(one, other):

@@ -17,8 +17,8 @@ UNITS = {"cloud": "clouds", "fix": "fixes", "imu": "attitudes", "odometry": "pos
 
 
 def live_counts(bag: Recording) -> dict[str, dict[str, int]]:
-    """Messages that each georeference_node had received by its last report: by its full name, then
-    by role.
+    """Messages that each georeference_node had received by its last report, without those that
+    found no room in its queue: by its full name, then by role.
     """
     found: dict[str, dict[str, int]] = {}
     if bag.topics().get(TOPIC, ("", 0))[0] != KIND:
@@ -29,7 +29,10 @@ def live_counts(bag: Recording) -> dict[str, dict[str, int]]:
                 continue
             values = {v.key: v.value for v in status.values}
             received = {role: values.get(f"received_{role}", "") for role in UNITS}
-            found[status.name] = {role: int(n) for role, n in received.items() if n.isdecimal()}
+            unused = {role: values.get(f"lost_message_queue_full_{role}", "0") for role in UNITS}
+            found[status.name] = {
+                role: int(n) - int(unused[role]) for role, n in received.items() if n.isdecimal()
+            }
     return found
 
 

@@ -56,6 +56,21 @@ class UpstreamNodes:
             )
         )
 
+    def untaken_text(self) -> str:
+        """What did not reach the surface of what georeference_node mapped, once both have ended, as
+        text; empty for nothing.
+        """
+        words = [
+            f"{name} lost {count} messages for which it had no room"
+            for name, lost in self.losses().items()
+            if (count := sum(n for why, n in lost.items() if why.startswith("message_queue_full")))
+        ]
+        sent = self.lines("georeference_node").get("sent_points", "")
+        taken = self.lines("filter_node").get("count_points", "")
+        if sent.isdecimal() and taken.isdecimal() and int(taken) < int(sent):
+            words.append(f"filter_node took {taken} of {sent} mapped points")
+        return ", ".join(words)
+
     def waiting_text(self) -> str:
         """What the upstream nodes had not passed on at their last status, as text."""
         lines = self.lines("filter_node")

@@ -1,0 +1,40 @@
+"""What volume_node knows of the nodes before it, from their reports."""
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from ladar_volume.nodes.watch.upstream_nodes import UpstreamNodes
+
+
+def reported(**lines):
+    """The nodes by name, with the lines of each one's last status."""
+    nodes = UpstreamNodes("/rover", ("georeference_node", "filter_node"))
+    for name, values in lines.items():
+        pairs = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
+        for space in ("rover", "other"):
+            status = DiagnosticStatus(name=f"{space}/{name}", values=pairs)
+            nodes.take(DiagnosticArray(status=[status]))
+            pairs = []
+    return nodes
+
+
+@pytest.mark.parametrize(
+    ("sent", "taken", "words"), [(90, 90, ""), (90, 95, ""), (90, 30, "30 of 90")]
+)
+def test_what_the_filter_did_not_take_is_named(sent, taken, words):
+    nodes = reported(georeference_node={"sent_points": sent}, filter_node={"count_points": taken})
+    text = nodes.untaken_text()
+    assert words in text and bool(text) == bool(words)
+
+
+def test_what_found_no_room_is_named():
+    lost = {"lost_message_queue_full_cloud": 3, "lost_message_queue_full_fix": 2, "lost_fix_nan": 9}
+    text = reported(
+        georeference_node=lost, filter_node={"lost_message_lost_points": 1}
+    ).untaken_text()
+    assert text == "georeference_node lost 5 messages for which it had no room"
+
+
+def test_nodes_that_say_nothing_are_no_finding():
+    assert reported().untaken_text() == ""
+    assert reported(georeference_node={"sent_points": 5}).untaken_text() == ""
