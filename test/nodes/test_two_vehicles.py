@@ -132,7 +132,7 @@ def test_nodes_signalled_at_once_under_load_end_with_all_data_or_say_so(
     program = [sys.executable, "-m", "ladar_volume.nodes.programs"]
     nodes = {n: start([*program, n, "--ros-args", *words]) for n in NODES}
     assert start([sys.executable, "-c", READY, *NODES]).wait(timeout=90) == 0
-    player = start([*program, "player", str(bag), "8"])
+    player = start([*program, "player", str(bag), "8", "2"])
     try:
         player.wait(timeout=60)
         time.sleep(shuffled.uniform(0.0, 0.3))
