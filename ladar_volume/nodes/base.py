@@ -44,7 +44,7 @@ from ladar_volume.nodes.declared_parameters import (
     plain_value,
     runtime_refusal,
 )
-from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, deserialize, take_waiting
+from ladar_volume.nodes.executor_rounds import AT_ONCE, deserialize, take_waiting, worked_off
 from ladar_volume.nodes.frames.static_mounting import mounting_from_frames
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
@@ -341,24 +341,13 @@ class StageNode(LifecycleNode, ABC):
         """A service's answer once all that came before has been worked off: two numbers, which the
         worker sets on the future that it finds in its queue as ``flush``.
         """
-        return await self._worked_off("flush", response)
-
-    async def _worked_off(self, kind: str, response: Trigger.Response) -> Trigger.Response:
-        """The answer that the worker sets on the future that it finds in its queue."""
-        done = Future()
-        if not self.offer(kind, done):
-            response.success, response.message = False, "too much waits already"
-            return response
-        while not done.done():
-            await NextRound()
-        response.success, response.message = True, str(done.result())
-        return response
+        return await worked_off(self.offer, "flush", response)
 
     async def _reset(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Once the node has begun anew."""
-        return await self._worked_off("reset", response)
+        return await worked_off(self.offer, "reset", response)
 
     # worker
     # ----------------------------------------------------------------------------------------------

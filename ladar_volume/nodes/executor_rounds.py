@@ -10,6 +10,8 @@ from typing import Any
 from rclpy.exceptions import InvalidHandle
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 #: Messages taken in one round at most: timers and services have their turn.
 AT_ONCE = 100
@@ -22,6 +24,22 @@ class NextRound:
 
     def __await__(self) -> Generator[None]:
         yield
+
+
+async def worked_off(
+    offer: Callable[[str, Any], bool], kind: str, response: Trigger.Response
+) -> Trigger.Response:
+    """A service's answer that the worker sets on the future that it finds in its queue as ``kind``.
+    offer : queues for the worker.
+    """
+    done = Future()
+    if not offer(kind, done):
+        response.success, response.message = False, "too much waits already"
+        return response
+    while not done.done():
+        await NextRound()
+    response.success, response.message = True, str(done.result())
+    return response
 
 
 def take_waiting(subscription: Subscription, receive: Callable[[Any, dict[str, Any]], None]) -> int:
