@@ -105,6 +105,21 @@ class MountingCheck:
         """Pairs that told some mounting from that as configured, the most of one."""
         return int(self._pairs.max())
 
+    @property
+    def sums(self) -> F64:
+        """What the pairs told so far (5, 24), by rotation: counts of pairs and of those it is
+        better in, and the three sums of distances, m.
+        """
+        return np.array([self._pairs, self._better, self._other, self._own, self._all], float)
+
+    def merge(self, sums: F64) -> None:
+        """Add the :attr:`sums` of another part of the recording."""
+        self._pairs += sums[0].astype(np.int64)
+        self._better += sums[1].astype(np.int64)
+        self._other += sums[2]
+        self._own += sums[3]
+        self._all += sums[4]
+
     def add_returns(self, returns: Returns) -> None:
         """A cloud (n returns) in the laser frame."""
         first = int(returns.t_ns.min())

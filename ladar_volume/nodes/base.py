@@ -60,8 +60,6 @@ from ladar_volume.process.switch import is_own_process
 STOP_S = 30.0
 #: How long a node that is to end waits for those before it, s.
 UPSTREAM_S = 2.0
-#: The same for one that has said that it ends, s: it works off its queue.
-ENDING_S = 25.0
 #: How long a node that ends waits for listeners to have what it sent, s.
 ACKED_S = 10.0
 #: How often a node looks who publishes the datum, s.
@@ -85,6 +83,9 @@ class StageNode(LifecycleNode, ABC):
     #: Topics that come from this package's nodes before this one, with those nodes, the first of
     #: all first.
     upstream: tuple[tuple[str, str], ...] = ()
+    #: How long it waits at its end for those that have said that they end, s: they work off their
+    #: queues, each after those before it.
+    ending_s: float = 25.0
     #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
     #: loaded.
     kernels: str | None = None
@@ -301,7 +302,7 @@ class StageNode(LifecycleNode, ABC):
     def await_upstream(self) -> None:
         """Let those whose data this node takes end first, and say on the wire that this one ends;
         what they finish is still taken in. One that does not end is waited for for
-        :data:`UPSTREAM_S`, one that has said that it ends for :data:`ENDING_S`. Where one outlives
+        :data:`UPSTREAM_S`, one that has said that it ends for :attr:`ending_s`. Where one outlives
         the next, or this node, data are missing: :attr:`cut_off`.
         """
         if self.context.ok() and self._worker is not None:
@@ -313,7 +314,7 @@ class StageNode(LifecycleNode, ABC):
             if not any(alive) or self.cut_off:
                 return
             ends = any(self.count_publishers(f"{node}/ending") > 0 for _, node in self.upstream)
-            if time.monotonic() - began > (ENDING_S if ends else UPSTREAM_S):
+            if time.monotonic() - began > (self.ending_s if ends else UPSTREAM_S):
                 return
             time.sleep(0.05)
 

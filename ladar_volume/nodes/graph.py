@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ladar_volume.compile_kernels import STAGES, load_kernels
 from ladar_volume.io.bags import Recording
 from ladar_volume.model.errors import ConfigurationError, VolumeError
-from ladar_volume.nodes.base import ENDING_S, STOP_S, StageNode
+from ladar_volume.nodes.base import STOP_S, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
@@ -281,7 +281,7 @@ class Graph:
             if process is not None:
                 process.terminate()
                 try:
-                    process.wait(timeout=TAKE_S + ENDING_S + STOP_S + 5.0)
+                    process.wait(timeout=TAKE_S + StageNode.ending_s + STOP_S + 5.0)
                 except subprocess.TimeoutExpired:
                     process.kill()
             if name in self._spinners:

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ladar_volume.georeference.sample_admission import SET_BACK_S
 from ladar_volume.io.drivers.packet_capture import PacketCapture
 from ladar_volume.model.errors import ConfigurationError, InputError
@@ -90,6 +92,7 @@ class TiledReplay:
             replay.returns += piece.returns
             replay.engine.points_mapped += piece.mapped
             replay.losses.merge(Losses(piece.losses))
+            replay.engine.georeferencer.mounting_check.merge(np.array(piece.mounting))
         self._tiles(recorded, pieces, progress)
         return replay.estimate_or_refuse(replay.engine.estimator.estimate)
 

@@ -73,7 +73,8 @@ class Piece:
 
     tiles : rows at rest, with their tile · returns, mapped, offered : read, georeferenced, taken by
     the filter · newest_ns : time of the newest of these · losses : of clouds and returns · rings :
-    returns, those beyond the configured rings, and the highest ring · apart : why it is not what it
+    returns, those beyond the configured rings, and the highest ring · mounting : (5, 24) what
+    sweeps laid on each other told of turned mountings · apart : why it is not what it
     is in the whole recording, or nothing
     """
 
@@ -84,6 +85,7 @@ class Piece:
     newest_ns: int = 0
     losses: dict[str, int] = dataclasses.field(default_factory=dict)
     rings: tuple[int, int, int] = (0, 0, -1)
+    mounting: list[list[float]] = dataclasses.field(default_factory=list)
     apart: str = ""
 
 
@@ -112,6 +114,7 @@ def piece_at_rest(recorded: RecordedSurvey, k: int) -> Piece | None:
             return None
         tiles = [((tile[0], tile[1]), TileRows(**rows)) for tile, rows in known.pop("tiles")]
         known["rings"] = tuple(known["rings"])
+        known["mounting"] = list(known["mounting"])
         found = Piece(tiles, **known)
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None
@@ -189,6 +192,7 @@ def georeference_one(recorded: RecordedSurvey, k: int, replay: Replay) -> Piece:
     writer.finish()
     out.returns, out.offered = replay.returns, writer.filter.stats["points_offered"]
     out.newest_ns, out.rings = writer.filter.newest_ns, replay.rings.counts
+    out.mounting = writer.stage.mounting_check.sums.tolist()
     losses = replay.all_losses()
     losses.merge(writer.filter.losses)
     kinds = ("cloud_", "point_", "bag_")  # those of poses are counted once, for all pieces

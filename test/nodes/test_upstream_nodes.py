@@ -35,6 +35,11 @@ def test_what_found_no_room_is_named():
     assert text == "georeference_node lost 5 messages for which it had no room"
 
 
+def test_what_the_filter_put_off_is_named():
+    assert "left 31 points" in reported(filter_node={"points_deferred": 31}).untaken_text()
+    assert reported(filter_node={"points_deferred": 0}).untaken_text() == ""
+
+
 def test_nodes_that_say_nothing_are_no_finding():
     assert reported().untaken_text() == ""
     assert reported(georeference_node={"sent_points": 5}).untaken_text() == ""

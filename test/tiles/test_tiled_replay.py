@@ -25,10 +25,10 @@ BAGS = Path(__file__).parents[2] / "bags"
 SHORT = 3.0
 
 
-def replayed(name, work=None, duration=float("inf")):
-    """Result as plain values, estimate, and the tiled replay."""
+def replayed(name, work=None, duration=float("inf"), changed=()):
+    """Result as plain values, estimate, and the tiled replay. changed : ``section.key=value``."""
     with BagReader(BAGS / name) as bag:
-        parameters = read_config(BAGS / name / "config.yaml", [])
+        parameters = read_config(BAGS / name / "config.yaml", list(changed))
         replay = Replay(bag, parameters, bag.roles({}), 0.0, duration)
         tiled = None if work is None else TiledReplay(replay, work)
         estimate = replay.run() if tiled is None else tiled.run()
@@ -53,6 +53,18 @@ def test_tiles_and_pieces_give_what_one_process_gives(tmp_path, whole, tile_m, p
     facts = found[2].facts
     assert (facts["count"] > 20 and facts["pieces"] == 2) or tile_m == 50.0
     assert facts["notes"] == []
+
+
+def test_a_turned_mounting_is_named_by_tiles_as_well(tmp_path, whole):
+    def turned(found):
+        return [d["text"] for d in found[0]["verdict"]["reasons"] if d["name"] == "mounting_turned"]
+
+    changed = ["calibration.boresight_yaw_deg=0.0"]
+    one = turned(replayed("leo_cut", None, 6.0, changed))
+    work = Work(12.0, tmp_path, OwnProcess(), 3.0)
+    by_tiles = [turned(replayed("leo_cut", work, 6.0, changed)) for _ in range(2)]
+    assert len(one) == 1 and by_tiles[0] == by_tiles[1] and not turned(whole)
+    assert by_tiles[0][0].split("turned to")[1][:30] == one[0].split("turned to")[1][:30]
 
 
 def test_what_is_at_rest_is_not_done_again_and_what_is_damaged_is_made_anew(tmp_path, whole):

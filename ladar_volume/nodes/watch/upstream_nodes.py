@@ -69,6 +69,9 @@ class UpstreamNodes:
         taken = self.lines("filter_node").get("count_points", "")
         if sent.isdecimal() and taken.isdecimal() and int(taken) < int(sent):
             words.append(f"filter_node took {taken} of {sent} mapped points")
+        put_off = self.lines("filter_node").get("points_deferred", "0")
+        if put_off.isdecimal() and int(put_off):
+            words.append(f"filter_node left {put_off} points for an update that did not come")
         return ", ".join(words)
 
     def waiting_text(self) -> str:
