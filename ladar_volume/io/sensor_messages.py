@@ -22,7 +22,7 @@ def _covariance(values: Any, size: int) -> F64 | None:
 
 
 def fix_from_message(message: Any) -> Fix:
-    """A NavSatFix. Raises FixError: fix_no_fix, fix_nan, fix_range, fix_covariance."""
+    """A NavSatFix. Raises FixError: fix_no_fix, fix_nan, fix_range, fix_zero, fix_covariance."""
     if int(message.status.status) < 0:
         raise FixError("receiver has no fix", reason="fix_no_fix", value=int(message.status.status))
     position = (float(message.latitude), float(message.longitude), float(message.altitude))
@@ -32,6 +32,8 @@ def fix_from_message(message: Any) -> Fix:
         raise FixError(
             f"latitude or longitude out of range: {position}", reason="fix_range", value=position
         )
+    if position[:2] == (0.0, 0.0):
+        raise FixError("latitude and longitude are 0: not set by the driver", reason="fix_zero")
     C = None
     if int(message.position_covariance_type) != 0:
         C = _covariance(message.position_covariance, 3)

@@ -120,6 +120,7 @@ class MavlinkNode(StageNode):
             ),
         }
         self._positions, self._positions_s = 0, time.monotonic()
+        self._heard_s = time.monotonic()
         path = log_file(p.url)
         if path is None:
             self._link = open_link(p.url)
@@ -224,7 +225,7 @@ class MavlinkNode(StageNode):
         return total
 
     def errors(self) -> list[str]:
-        """An autopilot that is there and gives no position."""
+        """A link that is not there, nobody on it, or an autopilot that gives no position."""
         if self._link is not None and not self._link.is_open:
             return [
                 f"{self.parameters.mavlink.url} cannot be opened: another program holds it, or it "
@@ -233,6 +234,10 @@ class MavlinkNode(StageNode):
         now, positions = time.monotonic(), self.sent["fix"] + self.sent["odometry"]
         if self._link is None or not self._session.alive or positions != self._positions:
             self._positions, self._positions_s = positions, now
+        if self._link is None or self._session.alive or not self._active:
+            self._heard_s = now
+        if now - self._heard_s >= POSITIONS_S:
+            return [self._nobody(now - self._heard_s)]
         missing = now - self._positions_s
         if missing < POSITIONS_S:
             return []
@@ -241,6 +246,13 @@ class MavlinkNode(StageNode):
             f"no position of the autopilot for {missing:.0f} s: its fix is {found['fix_type']} "
             f"with {found['satellites']} satellites"
         ]
+
+    def _nobody(self, seconds: float) -> str:
+        """Nobody has sent a heartbeat for so long, in words."""
+        came = self.received_counts().get("bytes", 0)
+        why = "what comes holds none: baud rate, mavlink.system, component or signing key"
+        why = why if came else "nothing comes: port, cable, and where the autopilot sends to"
+        return f"no heartbeat on {self.parameters.mavlink.url} for {seconds:.0f} s, {why}"
 
     def status(self) -> dict[str, Any]:
         """The link and what was made of it."""

@@ -6,7 +6,7 @@ import pytest
 
 from ladar_volume.georeference.clock_check import Lead
 from ladar_volume.georeference.turn_check import TurnLag
-from ladar_volume.nodes.watch.clock_words import clock_state, clock_words
+from ladar_volume.nodes.watch.clock_words import clock_state, clock_words, known_step
 
 S = 10**9
 
@@ -69,3 +69,29 @@ def test_what_was_declared_counts():
 def test_a_receiver_that_is_late_is_still_said():
     (words,) = clock_words(*leads(0.4, 0.9), turns(0.0))
     assert words.startswith("fixes are 0.9")
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "words"),
+    [
+        (18.01, "GPS time is 18 s ahead"),
+        (-37.0, "TAI"),
+        (19.2, "19 s"),
+        (315_964_782.1, "from 1980"),
+        (7200.1, "2 h: local time"),
+        (-3600.0, "1 h"),
+        (17.0, ""),
+        (0.4, ""),
+        (60.0, ""),
+        (5400.0, ""),
+        (90_000.0, ""),
+    ],
+)
+def test_differences_of_time_scales_are_known(apart_s, words):
+    found = known_step(apart_s)
+    assert words in found and bool(found) == bool(words)
+
+
+def test_a_clock_of_another_time_scale_is_named_as_that():
+    (words,) = clock_words(*leads(18.0, 0.0))
+    assert "(GPS time is 18 s ahead of UTC)" in words

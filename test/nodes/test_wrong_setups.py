@@ -1,4 +1,4 @@
-"""Nine set-ups that are wrong, each fed to the real nodes in a namespace of its own: each is named
+"""Set-ups that are wrong, each fed to the real nodes in a namespace of its own: each is named
 in the diagnostics within five seconds of data, and the one that is right is not.
 """
 
@@ -41,6 +41,12 @@ def fix(t):
     return m
 
 
+def fix_at_zero(t):
+    m = fix(t)
+    m.latitude = m.longitude = 0.0
+    return m
+
+
 def imu(t, down=False):
     m = Imu(header=header(t, "base_link"))
     m.orientation.w, m.orientation_covariance = 1.0, np.diag([1e-6] * 3).ravel()
@@ -58,6 +64,9 @@ setups = {
     "frame": {"cloud": lambda t: cloud(t, frame="map")},
     "driver": {"cloud": lambda t: cloud(t, timed=False, ringed=False)},
     "time": {"cloud": lambda t: cloud(0)},
+    "leap": {"cloud": lambda t: cloud(t + 37 * S)},
+    "other": {"cloud": lambda t: cloud(t, frame="rover1/odom")},
+    "unset": {"fix": fix_at_zero},
 }
 kinds = {
     "cloud": (PointCloud2, "velodyne_points"),
@@ -112,6 +121,10 @@ port = MavlinkNode(
 )
 said["port"] = {"started": port.autostart(), "errors": port.errors()}
 port.stop()
+for name, url in (("silent", "udpin:127.0.0.1:0"), ("refused", "tcp:127.0.0.1:9")):
+    link = MavlinkNode(namespace=f"/{name}", parameter_overrides=values(**{"mavlink.url": url}))
+    nodes.append(link)
+    started.append(link.autostart())
 spinners = [Spinner(n) for n in (*nodes, tester)]
 for _ in range(600):
     if all(p.get_subscription_count() for of in pubs.values() for p, _ in of.values()):
@@ -142,6 +155,11 @@ NAMED = {
     "frame": (2, "frame 'map'"),
     "driver": (2, "cloud_no_time"),
     "time": (2, "stamps of cloud are 0"),
+    "leap": (1, "TAI, which PTP hands out, is 37 s ahead of UTC"),
+    "other": (2, "frame 'rover1/odom', where no scanner measures"),
+    "unset": (2, "lost as fix_zero: latitude and longitude are 0"),
+    "silent": (2, "no heartbeat on udpin:127.0.0.1:0 for "),
+    "refused": (2, "tcp:127.0.0.1:9 cannot be opened"),
 }
 
 
@@ -153,7 +171,8 @@ def seen(tmp_path_factory):
 @pytest.mark.parametrize("setup", sorted(NAMED))
 def test_what_is_wrong_is_named(seen, setup):
     level, words = NAMED[setup]
-    texts = seen["said"][f"{setup}/georeference_node"]["texts"]
+    node = "mavlink_node" if setup in ("silent", "refused") else "georeference_node"
+    texts = seen["said"][f"{setup}/{node}"]["texts"]
     assert any(found >= level and words in text for found, text in texts), texts[-1]
 
 

@@ -188,8 +188,8 @@ class TcpLink:
 
     @property
     def is_open(self) -> bool:
-        """A connection that is not there yet is the other end's affair."""
-        return True
+        """Whether it listens or is connected; to what it listens, the other end connects."""
+        return self._server is not None or self._peer is not None
 
     @property
     def address(self) -> tuple[str, int]:
@@ -335,6 +335,9 @@ def open_link(url: str) -> Link:
     host, _, number = rest.rpartition(":")
     most = 10_000_000 if scheme == "serial" else 65535
     digits = number.isascii() and number.isdigit() and len(number) < 10
+    if scheme.startswith("/dev/"):
+        words = f"mavlink.url: {short_repr(url)}: a port is given as serial:{scheme}:57600"
+        raise ConfigurationError(words, value=url)
     if not digits or int(number) > most:
         raise ConfigurationError(
             f"mavlink.url: {short_repr(url)}: the number after the last colon is missing or too "

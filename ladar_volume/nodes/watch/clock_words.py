@@ -10,6 +10,27 @@ from ladar_volume.georeference.turn_check import TurnLag
 
 #: Stamps that agree within this, or three sigma, are of clocks that agree, s.
 SAME_S = 0.02
+#: Differences of time scales, s (leap seconds as of 2017 on), and how near a difference must be.
+STEPS = {
+    18.0: "GPS time is 18 s ahead of UTC",
+    19.0: "TAI is 19 s ahead of GPS time",
+    37.0: "TAI, which PTP hands out, is 37 s ahead of UTC",
+    315_964_782.0: "GPS time counts from 1980, UTC from 1970",
+    315_964_800.0: "GPS time counts from 1980, UTC from 1970",
+}
+NEAR_S, HOUR_S, ZONE_H = 0.5, 3600.0, 14.0
+
+
+def known_step(apart_s: float) -> str:
+    """What a difference of clocks looks like, in brackets; empty where nothing is known."""
+    apart_s = abs(apart_s)
+    for step_s, words in STEPS.items():
+        if abs(apart_s - step_s) < NEAR_S:
+            return f" ({words})"
+    hours = round(apart_s / HOUR_S)
+    if 1 <= hours <= ZONE_H and abs(apart_s - hours * HOUR_S) < NEAR_S:
+        return f" ({hours} h: local time in place of UTC)"
+    return ""
 
 
 def stamps_off_s(turns: TurnLag | None, declared_s: float) -> float | None:
@@ -49,7 +70,10 @@ def clock_words(
     else:
         out = _by_arrival(cloud)
     if fix.state in ("offset", "unsteady") and fixes is not None:
-        out.append(f"fixes are {fixes[0]:.2f} s older than attitudes when they come ({fix.state})")
+        out.append(
+            f"fixes are {fixes[0]:.2f} s older than attitudes when they come ({fix.state})"
+            f"{known_step(fixes[0])}"
+        )
     return out
 
 
@@ -82,10 +106,10 @@ def _imu_or_late(lead_s: float) -> str:
     late = lead_s < 0
     return (
         f"attitudes are {abs(lead_s):.2f} s {'older' if late else 'newer'} than clouds and "
-        f"fixes that come with them: the IMU's messages are {'late' if late else 'early'}, or "
-        f"its clock is {'behind' if late else 'ahead'}; a turn that the LiDAR sees, too, will "
-        "tell; calibration.clock_offset_s is of the LiDAR and mends neither: look at the IMU's "
-        "driver and clock"
+        f"fixes that come with them{known_step(lead_s)}: the IMU's messages are "
+        f"{'late' if late else 'early'}, or its clock is {'behind' if late else 'ahead'}; a turn "
+        "that the LiDAR sees, too, will tell; calibration.clock_offset_s is of the LiDAR and "
+        "mends neither: look at the IMU's driver and clock"
     )
 
 
@@ -94,9 +118,9 @@ def _by_arrival(cloud: Lead) -> list[str]:
     if clouds and cloud.state == "offset":
         return [
             f"clouds are {abs(clouds[0]):.3f} s {'older' if clouds[0] > 0 else 'newer'} than "
-            "attitudes that come with them: one driver is late, or a clock is off; arrival cannot "
-            "tell which, a turn that the LiDAR sees, too, will, or let `ladar_volume calibrate "
-            "strips` find calibration.clock_offset_s"
+            f"attitudes that come with them{known_step(clouds[0])}: one driver is late, or a clock "
+            "is off; arrival cannot tell which, a turn that the LiDAR sees, too, will, or let "
+            "`ladar_volume calibrate strips` find calibration.clock_offset_s"
         ]
     if cloud.state == "unsteady":
         return ["the times of the clouds scatter against those of the poses"]

@@ -38,6 +38,7 @@ ADVICE = {
     "field on",
     "cloud_one_time": "the driver sends one time for a whole sweep: update it",
     "cloud_no_xyz": "the topic is no cloud of a scanner: check its name",
+    "fix_zero": "latitude and longitude are 0: the driver has not set them",
     "fix_no_fix": "the receiver has no fix: antenna, sky, corrections",
     "fix_unknown_covariance": "the receiver sends no accuracy: set "
     "georeference.unknown_covariance to budget, with sigmas in budget",

@@ -14,6 +14,7 @@ from ladar_volume.io.drivers.point_layouts import RING_FIELDS
 from ladar_volume.io.frames.static_frames import Quaternion, Vector
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Returns
+from ladar_volume.nodes.watch.clock_words import known_step
 
 #: Stamps of two inputs further apart than this are of two clocks, s.
 CLOCKS_APART_S = 60.0
@@ -140,14 +141,15 @@ class SensorChecks:
             frame = self._frames.get(kind)
             if frame is None:
                 continue
+            last = frame.strip("/").rpartition("/")[2]  # of several vehicles each has its own
             if wanted and frame != wanted:
                 out.append(f"{kind} comes in frame '{frame}', configured is '{wanted}'")
-            elif not wanted and kind == "cloud" and frame.strip("/") in FIXED_FRAMES:
+            elif not wanted and kind == "cloud" and last in FIXED_FRAMES:
                 out.append(
                     f"the cloud comes in frame '{frame}', where no scanner measures: take the "
                     "driver's own topic, or name the frame in node.lidar_frame"
                 )
-            elif not wanted and kind == "cloud" and frame in BODY_FRAMES and self._mounted:
+            elif not wanted and kind == "cloud" and last in BODY_FRAMES and self._mounted:
                 out.append(
                     f"the cloud comes in frame '{frame}', and calibration has a mounting between "
                     "body and laser, which would count twice: take the driver's own topic, or name "
@@ -166,8 +168,9 @@ class SensorChecks:
             apart = self._at(last) - self._at(first)
             if apart > CLOCKS_APART_S:
                 out.append(
-                    f"the stamps of {first} are {apart:.0f} s before those of {last}: one of the "
-                    "two has another clock or none; set it (PTP, NTP, PPS)"
+                    f"the stamps of {first} are {apart:.0f} s before those of {last}"
+                    f"{known_step(apart)}: one of the two has another clock or none; set it (PTP, "
+                    "NTP, PPS)"
                 )
         return out
 
