@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from benchmarks.forked_tests import run_tests
 
 ROOT = Path(__file__).parents[1]
 HERE = "test/test_planted_bugs.py"
@@ -165,18 +166,13 @@ def passes(bug: Bug, tree: Path) -> bool:
 
 def passes_all(tests: list[str], tree: Path) -> bool:
     """Whether tests, by file or function, pass in the copy; one that hangs does not."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
-    paths = os.pathsep.join([str(tree), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = os.environ | {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
-    try:
-        done = subprocess.run(
-            command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    if done.returncode not in (0, 1):
-        raise SystemExit(f"{tests}: the tests did not run: {done.stdout[-500:]}")
-    return done.returncode == 0
+    with tempfile.TemporaryDirectory() as name:
+        output = Path(name) / "said"
+        code = run_tests(tests, tree, SECONDS, output)
+        if code not in (0, 1, None):
+            words = output.read_text(encoding="utf-8", errors="replace")
+            raise SystemExit(f"{tests}: the tests did not run: {words[-500:]}")
+    return code == 0
 
 
 @contextmanager
