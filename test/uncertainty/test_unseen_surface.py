@@ -13,6 +13,7 @@ from ladar_volume.uncertainty import unseen_surface as unseen
 from ladar_volume.uncertainty.unseen_surface import (
     CELLS,
     SEEN,
+    TRIALS,
     GapTrial,
     ObservedPoints,
     Prediction,
@@ -109,6 +110,7 @@ def test_rim_points_lie_around_the_gap_beyond_what_is_apart_and_within_reach():
 def test_a_gap_is_laid_all_around_once_in_each_place():
     seen, (place, weight) = seen_around(), gap()
     shift = trial_places(seen, place, weight)
+    assert len(shift) == 8 * TRIALS  # of which most are not wholly seen
     size = math.sqrt(4.0 * 4.0 / math.pi)
     r = np.hypot(*shift.T)
     assert (np.diff(r) >= 0.0).all() and r[-1] == pytest.approx(2.5 * size)

@@ -12,6 +12,7 @@ from ladar_volume.model.records import Patches, PlatformStates
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import pass_agreement, patch_scatter
 from ladar_volume.uncertainty.pass_differences import (
+    Residuals,
     UnitErrors,
     asked_patches,
     bin_covariances,
@@ -19,6 +20,7 @@ from ladar_volume.uncertainty.pass_differences import (
     pass_differences,
     scatter_within_bins,
     steady_looks,
+    told_by,
 )
 from ladar_volume.uncertainty.variance_components import scores, variance_components
 
@@ -259,3 +261,57 @@ def test_bins_of_which_no_pose_is_known_are_left_out():
     assert looks.bins.tolist() == (FIRST + np.arange(3, BINS)).tolist()
     np.testing.assert_array_equal(looks.state, looks.slot + 3)
     np.testing.assert_array_equal(late.nav_bin[looks.entry], looks.bins[looks.slot])
+
+
+def parts_of_patches(rng, each=4, patches=60, errors=5):
+    """Patches in parts, with effects of some errors, and their noise of 20 mm a return."""
+    l = each * patches
+    returns = rng.integers(80, 120, l).astype(float)
+    return Residuals(
+        np.zeros(l),
+        returns,
+        np.repeat(np.arange(patches), each),
+        rng.normal(0.0, 0.01, (l, errors)),
+        np.zeros(l),
+        np.full(patches, 0.02**2),
+    )
+
+
+def with_residuals(made, d):
+    """The parts with mean residuals d (l,), which widen the scatter of their patches."""
+    between = [
+        np.average((d[own] - np.average(d[own], weights=w)) ** 2, weights=w)
+        for own, w in (
+            (made.patch == k, made.returns[made.patch == k]) for k in range(len(made.scatter))
+        )
+    ]
+    return made._replace(d=d, scatter=made.scatter + between)
+
+
+def test_residuals_of_noise_and_errors_have_the_covariance_that_is_told_of_them():
+    rng = np.random.default_rng(8)
+    root = rng.normal(size=(5, 5)) / 2.0
+    C, made = root @ root.T, parts_of_patches(rng)
+    square, noises = 0.0, []
+    for _ in range(300):
+        noise = 0.02 / np.sqrt(made.returns) * rng.normal(size=len(made.d))
+        drawn = with_residuals(made, noise + made.A @ root @ rng.normal(size=5))
+        found = told_by(drawn, {"all": C})
+        # the directions of y turn with the weights, which the residuals touch a little
+        expected = found.noise * np.eye(5) + found.part["all"]
+        square += found.y @ np.linalg.solve(expected, found.y) / 300.0
+        noises.append(found.noise)
+    assert square == pytest.approx(5.0, rel=0.08)  # a chi-square of five, to 4 %
+    assert np.mean(noises) == pytest.approx(1.0, abs=0.05)
+    moved = with_residuals(made, noise + np.repeat(rng.normal(size=60), 4))
+    one, two = told_by(with_residuals(made, noise), {"all": C}), told_by(moved, {"all": C})
+    np.testing.assert_allclose(one.y, two.y, rtol=1e-6, atol=1e-9)  # a patch's own height is free
+
+
+@pytest.mark.parametrize(("patches", "told"), [(11, False), (12, True), (0, False)])
+def test_thirty_residuals_more_than_there_are_unknowns_tell_something(patches, told):
+    rng = np.random.default_rng(9)
+    made = parts_of_patches(rng, 4, patches, 6)  # 12 of 4 parts: 36 but for their means, 6 errors
+    if patches == 12:
+        made = made._replace(d=rng.normal(0.0, 0.002, len(made.d)))
+    assert (told_by(made, {"all": np.eye(6)}) is not None) == told
