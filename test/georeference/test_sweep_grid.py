@@ -4,13 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from ladar_volume.georeference import sweep_turns
 from ladar_volume.georeference.sweep_turns import (
     CELL_RAD,
     CELLS,
+    COMMON,
     STEP,
+    Sweep,
     grid_normals,
     ring_profile,
+    shift_about_axis,
 )
 
 CENTRES = (np.arange(CELLS) + 0.5) * CELL_RAD - math.pi
@@ -96,3 +101,66 @@ def test_a_gap_and_a_step_between_returns_are_not_bridged():
         length = np.where(np.arange(CELLS) < middle, 5.0, 5.0 * times)
         found = ring_profile(off, ring(off, length))[1]
         assert (found[middle] > 0.0) == seen and found[middle + 3] > 0.0
+
+
+def only_ranges(log_range, seen):
+    points = np.zeros((*seen.shape, 3))
+    return Sweep(0.0, points, points, log_range * seen, seen, seen > 2.0)
+
+
+@pytest.mark.parametrize("cells", [0, 1, 40, CELLS // 2 - 1, CELLS - 40, CELLS - 1])
+def test_what_is_seen_further_round_is_seen_by_a_scanner_turned_back(cells):
+    rng = np.random.default_rng(2)
+    log_range, seen = rng.normal(1.0, 0.3, (4, CELLS)), (rng.random((4, CELLS)) < 0.8) * 1.0
+    old = only_ranges(log_range, seen)
+    new = only_ranges(np.roll(log_range, cells, axis=1), np.roll(seen, cells, axis=1))
+    found = shift_about_axis(old, new)
+    expected = cells if cells < CELLS / 2 else cells - CELLS
+    assert found == pytest.approx(-expected * CELL_RAD)
+
+
+def test_sweeps_that_have_little_in_common_tell_no_turn():
+    rng = np.random.default_rng(3)
+    log_range, half = rng.normal(size=(2, CELLS)), np.zeros((2, CELLS))
+    for share, told in ((0.98 * COMMON, False), (1.02 * COMMON, True)):
+        half[:] = 0.0
+        half[:, : round(share * CELLS)] = 1.0
+        old, new = only_ranges(log_range, half), only_ranges(log_range, half)
+        assert (shift_about_axis(old, new) is not None) == told
+
+
+def test_a_rotation_vector_is_that_of_the_matrix():
+    rng = np.random.default_rng(4)
+    turns = rng.normal(size=(200, 3))
+    turns *= (rng.uniform(0.0, 3.1, 200) / np.linalg.norm(turns, axis=1))[:, None]
+    for turn in (*turns, np.zeros(3), np.array([1e-9, 0.0, -2e-9])):
+        R = Rotation.from_rotvec(turn).as_matrix()
+        np.testing.assert_allclose(sweep_turns._rotation_vector(R), turn, rtol=1e-7, atol=1e-15)
+
+
+def test_a_step_towards_planes_turns_and_shifts_what_lies_off_them():
+    """Points on three walls, seen again by a scanner that turned and moved a little."""
+    rng = np.random.default_rng(5)
+    rings = 16
+    e = np.linspace(-0.6, 0.6, rings)[:, None]
+    beam = np.stack(
+        [np.cos(e) * np.cos(CENTRES), np.cos(e) * np.sin(CENTRES), np.sin(e) + 0.0 * CENTRES],
+        axis=2,
+    )
+    points = beam / np.max(np.abs(beam) / [3.0, 2.5, 1.2], axis=2)[:, :, None]  # in a box
+    seen = np.ones((rings, CELLS))
+    normals, flat = grid_normals(points, seen)
+    old = Sweep(0.0, points, normals, np.zeros_like(seen), seen, flat)
+    turn, shift = rng.normal(0.0, 2e-3, 3), rng.normal(0.0, 5e-3, 3)
+    R = Rotation.from_rotvec(turn)
+    rows, cells = np.nonzero(flat)
+    moved = R.inv().apply(points[rows, cells] - shift)
+    kept, step = sweep_turns._plane_step(moved, rows, old, np.eye(3), np.zeros(3))
+    np.testing.assert_allclose(step, [*turn, *shift], atol=3e-4)
+    rest = np.abs(((moved - points[rows, cells]) * normals[rows, cells]).sum(axis=1))
+    assert kept >= 0.9 * np.count_nonzero(rest < sweep_turns.IN_PLANE_M)
+    few = np.arange(sweep_turns.PAIRS)
+    for count, told in ((len(few) - 1, False), (len(few), True)):
+        some = points[rows, cells][few[:count]]
+        found = sweep_turns._plane_step(some, rows[:count], old, np.eye(3), np.zeros(3))
+        assert (found is not None) == told
