@@ -124,7 +124,7 @@ def _fit(old: Sweep, new: Sweep, about_axis: float) -> tuple[float, F64] | None:
     rows, cells = np.nonzero(new.seen[:, ::THIN])
     points = new.points[rows, THIN * cells]
     for _ in range(ROUNDS):
-        found = _plane_step(points, rows, old, R, t)
+        found = plane_step(points, rows, old, R, t)
         if found is None:
             return None
         kept, step = found
@@ -132,10 +132,10 @@ def _fit(old: Sweep, new: Sweep, about_axis: float) -> tuple[float, F64] | None:
         R, t = turn @ R, turn @ t + step[3:]
         if np.abs(step[:3]).max() < SETTLED_RAD:
             break
-    return kept, _rotation_vector(R)
+    return kept, rotation_vector(R)
 
 
-def _plane_step(points: F64, rows: I64, old: Sweep, R: F64, t: F64) -> tuple[float, F64] | None:
+def plane_step(points: F64, rows: I64, old: Sweep, R: F64, t: F64) -> tuple[float, F64] | None:
     """How many points lie in planes, and the turn and shift (6,) that bring the points (n, 3) of
     rings (n,) into the planes of the sweep before, by Cauchy's weights; None where few meet one.
     """
@@ -158,7 +158,7 @@ def _plane_step(points: F64, rows: I64, old: Sweep, R: F64, t: F64) -> tuple[flo
     return kept, np.asarray(np.linalg.solve(normal, A.T @ (weight * rest)))
 
 
-def _rotation_vector(R: F64) -> F64:
+def rotation_vector(R: F64) -> F64:
     """Of a turn below half a circle."""
     v = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     size = float(np.linalg.norm(v))

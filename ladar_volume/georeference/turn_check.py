@@ -55,7 +55,8 @@ class Turns:
     def __init__(self, R_body_laser: F64) -> None:
         self._R_laser_body = np.asarray(R_body_laser, np.float64).T
         self._zero_ns: int | None = None
-        self._attitudes: deque[tuple[float, float, float, float]] = deque()
+        #: Times of the attitudes, s, and the sums of their turns about the axes of the body, rad.
+        self.attitudes: deque[tuple[float, float, float, float]] = deque()
         self._last_q: tuple[float, ...] = ()
         self._sweep: Sweep | None = None
         #: Times of two sweeps, s, and the turn (3,) rad from one to the other.
@@ -67,17 +68,17 @@ class Turns:
     def add_attitude(self, t_ns: int, q: F64) -> None:
         """An attitude q (4,) xyzw, body to map, at t_ns."""
         t_s, now = self._seconds(t_ns), tuple(float(v) for v in q)
-        if not self._attitudes:
-            self._attitudes.append((t_s, 0.0, 0.0, 0.0))
-        elif t_s >= self._attitudes[-1][0] + ATTITUDE_S:
+        if not self.attitudes:
+            self.attitudes.append((t_s, 0.0, 0.0, 0.0))
+        elif t_s >= self.attitudes[-1][0] + ATTITUDE_S:
             turn = turn_from(self._last_q, now)
-            _, x, y, z = self._attitudes[-1]
-            self._attitudes.append((t_s, x + turn[0], y + turn[1], z + turn[2]))
+            _, x, y, z = self.attitudes[-1]
+            self.attitudes.append((t_s, x + turn[0], y + turn[1], z + turn[2]))
         else:
             return
         self._last_q = now
-        while self._attitudes[0][0] < t_s - KEPT_S - 2.0 * REACH_S:
-            self._attitudes.popleft()
+        while self.attitudes[0][0] < t_s - KEPT_S - 2.0 * REACH_S:
+            self.attitudes.popleft()
 
     def add_sweep(self, returns: Returns) -> None:
         """A sweep (n returns) of the LiDAR, in its own time."""
@@ -107,11 +108,11 @@ class Turns:
         """How far the clocks are apart, by the axis that tells best; None where no axis does: too
         few turns, too even, or not the same.
         """
-        if len(self.pairs) < PAIRS or len(self._attitudes) < PAIRS:
+        if len(self.pairs) < PAIRS or len(self.attitudes) < PAIRS:
             return None
         times = np.array([(a, b) for a, b, _ in self.pairs])
         seen = np.array([turn for *_, turn in self.pairs])
-        attitudes = np.array(self._attitudes)
+        attitudes = np.array(self.attitudes)
         told = attitudes[:, 1:] @ self._R_laser_body.T
         found = [
             best_lag(times, seen[:, axis], attitudes[:, 0], told[:, axis]) for axis in range(3)

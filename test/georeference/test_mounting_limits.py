@@ -9,7 +9,6 @@ import pytest
 from ladar_volume.georeference import mounting_check
 from ladar_volume.georeference.lidar_equation import Mounting
 from ladar_volume.georeference.mounting_check import (
-    WAITING,
     MountingCheck,
     TurnedMounting,
     mounting_doubts,
@@ -23,13 +22,20 @@ def check():
     return MountingCheck(Mounting(np.eye(3), np.zeros(3), np.zeros(3), 0))
 
 
-def with_sums(pairs=20, better=20, own=2.0, other=1.0):
-    """Rotation 5 with these sums, of which all others have nothing."""
+def sums_of(**rotations):
+    """Sums by rotation, of which all but these have nothing."""
+    sums = np.zeros((5, 24))
+    sums[4] = 10.0
+    for name, given in rotations.items():
+        sums[:, int(name[1:])] = given
+    return sums
+
+
+def found_by(sums):
     one = check()
-    one._pairs[5], one._better[5], one._own[5], one._other[5] = pairs, better, own, other
-    one._all[:] = 10.0
-    one._all[5] = 5.0
-    return one
+    one.merge(0.5 * sums)
+    one.merge(sums - one.sums)  # as from two parts of a recording
+    return one.found()
 
 
 @pytest.mark.parametrize(
@@ -46,10 +52,10 @@ def with_sums(pairs=20, better=20, own=2.0, other=1.0):
     ],
 )
 def test_another_mounting_needs_pairs_most_of_them_and_far_smaller_distances(sums, told):
-    found = with_sums(**sums).found()
+    given = {"pairs": 20, "better": 20, "other": 1.0, "own": 2.0} | sums
+    found = found_by(sums_of(r5=[*given.values(), 5.0]))
     assert (found is not None) == told
     if told:
-        given = {"pairs": 20, "better": 20, "own": 2.0, "other": 1.0} | sums
         n = given["pairs"]
         assert (found.pairs, found.better, found.alike) == (n, given["better"], 1)
         assert found.own_m == given["own"] / n and found.other_m == given["other"] / n
@@ -57,10 +63,9 @@ def test_another_mounting_needs_pairs_most_of_them_and_far_smaller_distances(sum
 
 
 def test_the_best_is_that_of_the_least_distances_in_all_pairs_with_those_alike():
-    one = with_sums()
-    one._pairs[7], one._better[7], one._own[7], one._other[7], one._all[7] = 9, 9, 2.0, 0.1, 5.2
-    one._all[8], one._all[9] = 5.25, 5.26
-    found = one.found()
+    sums = sums_of(r5=[20, 20, 1.0, 2.0, 5.0], r7=[9, 9, 0.1, 2.0, 5.2])
+    sums[4, 8:10] = 5.25, 5.26
+    found = found_by(sums)
     np.testing.assert_array_equal(found.R_body, mounting_check.cube_rotations()[5])
     assert found.alike == 3  # itself, 7, and 8 to five parts in a hundred
     (doubt,) = mounting_doubts(found, np.eye(3)).doubts
@@ -87,7 +92,7 @@ def compared(times_s, speed, range_m=20.0, told=0, monkeypatch=None):
     monkeypatch.setattr(
         MountingCheck, "_compare", lambda self, a, b: found.append((a.t_ns / S, b.t_ns / S))
     )
-    one._pairs[3] = told
+    one.merge(sums_of(r3=[told, 0, 0.0, 0.0, 0.0]))
     t = np.arange(0.0, times_s[-1] + 0.2, 0.05)
     p = np.column_stack([speed * t, 0.0 * t, 0.0 * t])
     zero = np.zeros((len(t), 3))
@@ -134,10 +139,3 @@ def test_the_more_is_told_the_longer_is_the_pause(told, pause_s, monkeypatch):
     assert found[0] == (0.1, 0.3)
     pause = found[1][0] - found[0][1]
     assert pause_s - 1e-9 <= pause < pause_s + 0.25
-
-
-def test_only_so_many_sweeps_wait_for_poses():
-    one = check()
-    for k in range(WAITING + 5):
-        one.add_returns(sweep(float(k)))
-    assert len(one._waiting) == WAITING and one._waiting[0][0] == 5 * S

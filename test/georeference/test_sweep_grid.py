@@ -129,13 +129,13 @@ def test_sweeps_that_have_little_in_common_tell_no_turn():
         assert (shift_about_axis(old, new) is not None) == told
 
 
-def test_a_rotation_vector_is_that_of_the_matrix():
+def test_arotation_vector_is_that_of_the_matrix():
     rng = np.random.default_rng(4)
     turns = rng.normal(size=(200, 3))
     turns *= (rng.uniform(0.0, 3.1, 200) / np.linalg.norm(turns, axis=1))[:, None]
     for turn in (*turns, np.zeros(3), np.array([1e-9, 0.0, -2e-9])):
         R = Rotation.from_rotvec(turn).as_matrix()
-        np.testing.assert_allclose(sweep_turns._rotation_vector(R), turn, rtol=1e-7, atol=1e-15)
+        np.testing.assert_allclose(sweep_turns.rotation_vector(R), turn, rtol=1e-7, atol=1e-15)
 
 
 def test_a_step_towards_planes_turns_and_shifts_what_lies_off_them():
@@ -155,12 +155,12 @@ def test_a_step_towards_planes_turns_and_shifts_what_lies_off_them():
     R = Rotation.from_rotvec(turn)
     rows, cells = np.nonzero(flat)
     moved = R.inv().apply(points[rows, cells] - shift)
-    kept, step = sweep_turns._plane_step(moved, rows, old, np.eye(3), np.zeros(3))
+    kept, step = sweep_turns.plane_step(moved, rows, old, np.eye(3), np.zeros(3))
     np.testing.assert_allclose(step, [*turn, *shift], atol=3e-4)
     rest = np.abs(((moved - points[rows, cells]) * normals[rows, cells]).sum(axis=1))
     assert kept >= 0.9 * np.count_nonzero(rest < sweep_turns.IN_PLANE_M)
     few = np.arange(sweep_turns.PAIRS)
     for count, told in ((len(few) - 1, False), (len(few), True)):
         some = points[rows, cells][few[:count]]
-        found = sweep_turns._plane_step(some, rows[:count], old, np.eye(3), np.zeros(3))
+        found = sweep_turns.plane_step(some, rows[:count], old, np.eye(3), np.zeros(3))
         assert (found is not None) == told

@@ -104,14 +104,14 @@ def test_sums_of_attitudes_are_turns_and_those_close_in_time_are_left_out():
     for k in range(20):
         both.add_attitude(t_ns, q.as_quat())
         both.add_attitude(t_ns + round(ATTITUDE_S * S) - 1000, (q * step).as_quat())  # too near
-        assert len(both._attitudes) == k + 1
+        assert len(both.attitudes) == k + 1
         q, t_ns = q * step, t_ns + round(ATTITUDE_S * S) + 1000
-    times = np.array(both._attitudes)
+    times = np.array(both.attitudes)
     np.testing.assert_allclose(times[:, 0], (ATTITUDE_S + 1e-6) * np.arange(20), atol=1e-9)
     np.testing.assert_allclose(times[:, 1:], np.outer(np.arange(20), step.as_rotvec()), atol=1e-9)
     late = t_ns + round((KEPT_S + 2.0 * REACH_S) * S)
     both.add_attitude(late, q.as_quat())
-    assert len(both._attitudes) == 1 + np.count_nonzero(times[:, 0] * S >= late - 5 * S - 66 * S)
+    assert len(both.attitudes) == 1 + np.count_nonzero(times[:, 0] * S >= late - 5 * S - 66 * S)
 
 
 def test_sweeps_are_compared_when_the_next_comes_in_time(monkeypatch):

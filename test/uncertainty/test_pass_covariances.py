@@ -21,6 +21,10 @@ GIVEN = BudgetParameters()
 SIZES = Sizes(0.02, 0.03, 0.015, 0.01, 5.0)
 
 
+def at_speed(speed_mps):
+    return Sizes(*SIZES[:4], speed_mps)
+
+
 def blocks(sizes=SIZES, given=GIVEN, bins=(3, 4, 9), bin_s=2.0, fixes=10.0):
     return bin_covariances(np.array(bins), bin_s, fixes, sizes, given)
 
@@ -46,9 +50,9 @@ def test_slopes_of_a_walk_are_those_of_drawn_ones():
 
 
 def test_a_platform_that_stands_counts_as_one_of_a_metre_a_second():
-    still, slow = (blocks(SIZES._replace(speed_mps=v))["position"] for v in (0.0, 1.0))
+    still, slow = (blocks(at_speed(v))["position"] for v in (0.0, 1.0))
     np.testing.assert_allclose(still, slow)
-    assert not np.allclose(slow, blocks(SIZES._replace(speed_mps=1.1))["position"])
+    assert not np.allclose(slow, blocks(at_speed(1.1))["position"])
 
 
 def test_a_constant_is_a_little_different_in_every_bin():

@@ -285,7 +285,7 @@ def with_residuals(made, d):
             (made.patch == k, made.returns[made.patch == k]) for k in range(len(made.scatter))
         )
     ]
-    return made._replace(d=d, scatter=made.scatter + between)
+    return Residuals(d, *made[1:-1], made.scatter + between)
 
 
 def test_residuals_of_noise_and_errors_have_the_covariance_that_is_told_of_them():
@@ -313,5 +313,5 @@ def test_thirty_residuals_more_than_there_are_unknowns_tell_something(patches, t
     rng = np.random.default_rng(9)
     made = parts_of_patches(rng, 4, patches, 6)  # 12 of 4 parts: 36 but for their means, 6 errors
     if patches == 12:
-        made = made._replace(d=rng.normal(0.0, 0.002, len(made.d)))
+        made = Residuals(rng.normal(0.0, 0.002, len(made.d)), *made[1:])
     assert (told_by(made, {"all": np.eye(6)}) is not None) == told
