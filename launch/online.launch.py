@@ -73,7 +73,7 @@ def nodes(context: LaunchContext) -> list[LifecycleNode]:
             parameters=[common | more],
             remappings=[(topic, given[argument]) for argument, topic in TOPICS.items()],
             output="screen",
-            # each node lets those before it end, and finishes its work (STOP_S and ending_s of
+            # each node lets those before it end, and finishes its work (stop_s and ending_s of
             # nodes/base.py)
             sigterm_timeout="120",
             sigkill_timeout="30",

@@ -56,8 +56,6 @@ from ladar_volume.nodes.work_queue import WorkQueue
 from ladar_volume.process import memory
 from ladar_volume.process.switch import is_own_process
 
-#: How long a node may take to finish its work.
-STOP_S = 30.0
 #: How long a node that is to end waits for those before it, s.
 UPSTREAM_S = 2.0
 #: How long a node that ends waits for listeners to have what it sent, s.
@@ -86,6 +84,8 @@ class StageNode(LifecycleNode, ABC):
     #: How long it waits at its end for those that have said that they end, s: they work off their
     #: queues, each after those before it.
     ending_s: float = 25.0
+    #: How long it may take to finish its work, s.
+    stop_s: float = 30.0
     #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
     #: loaded.
     kernels: str | None = None
@@ -328,9 +328,10 @@ class StageNode(LifecycleNode, ABC):
         if self.context.ok():
             self.cut_off |= any(self.count_publishers(topic) > 0 for topic, _ in self.upstream)
         self.queue.put(None)
-        self._worker.join(timeout=STOP_S)
+        self._worker.join(timeout=self.stop_s)
         if self._worker.is_alive():
-            self.get_logger().error(f"work in the queue was not finished within {STOP_S:g} s")
+            words = f"work in the queue was not finished within {self.stop_s:g} s"
+            self.get_logger().error(words)
         if self.context.ok():
             self.publish_diagnostics()
             deadline = time.monotonic() + ACKED_S

@@ -50,6 +50,7 @@ class FilterNode(StageNode):
     sections = ("calibration", "georeference", "filter", "node")
     kernels = "filter"
     upstream = (("points_mapped", "georeference_node"),)
+    stop_s = 60.0
     runtime_sections = ("node",)
 
     def __init__(self, **options: Any) -> None:

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ladar_volume.compile_kernels import STAGES, load_kernels
 from ladar_volume.io.bags import Recording
 from ladar_volume.model.errors import ConfigurationError, VolumeError
-from ladar_volume.nodes.base import STOP_S, StageNode
+from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
@@ -51,6 +51,8 @@ FACTORIES: dict[str, Callable[..., StageNode]] = {
 ENDING = ("mavlink_node", "georeference_node", "filter_node", "volume_node", "logger_node")
 #: The graph has drained when its counters have agreed and stood still this long.
 STILL_S = 1.5
+#: How long a process of one node may take to end, s: those before it have ended.
+END_S = TAKE_S + FilterNode.ending_s + FilterNode.stop_s + 5.0
 
 
 class Watcher(Node):
@@ -281,7 +283,7 @@ class Graph:
             if process is not None:
                 process.terminate()
                 try:
-                    process.wait(timeout=TAKE_S + StageNode.ending_s + STOP_S + 5.0)
+                    process.wait(timeout=END_S)
                 except subprocess.TimeoutExpired:
                     process.kill()
             if name in self._spinners:

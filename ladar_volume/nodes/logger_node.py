@@ -149,7 +149,7 @@ class LoggerNode(StageNode):
         ("points_filtered", "filter_node"),
         ("volumes", "volume_node"),
     )
-    ending_s = 100.0
+    ending_s = 130.0
 
     def __init__(self, **options: Any) -> None:
         super().__init__("logger_node", **options)

@@ -38,7 +38,7 @@ class Player(Node):
     def __init__(self, bag: Recording, topics: dict[str, str], rate: float, **options: Any) -> None:
         super().__init__("player", **options)
         self._bag, self._topics, self._rate = bag, topics, rate
-        self._clock_out = self.create_publisher(Clock, "/clock", 10)
+        self._clock_out = self.create_publisher(Clock, "/clock", RELIABLE)
         recorded, self._out = bag.topics(), {}
         for role, topic in topics.items():
             kind = recorded[topic][0]

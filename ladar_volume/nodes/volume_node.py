@@ -76,7 +76,7 @@ class VolumeNode(StageNode):
     sections = ("budget", "georeference", "filter", "ground", "tin", "volume", "node")
     kernels = "volume"
     upstream = (("points_mapped", "georeference_node"), ("points_filtered", "filter_node"))
-    ending_s = 60.0
+    ending_s = 90.0
     runtime_sections = ("node", "ground", "tin", "volume")
 
     def __init__(self, **options: Any) -> None:

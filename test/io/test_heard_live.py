@@ -94,3 +94,16 @@ def test_messages_that_found_no_room_live_are_more_than_live(tmp_path):
     path = log(tmp_path / "log", [full], {"velodyne_points": (CLOUD, 10), "imu/data": (IMU, 100)})
     with BagReader(path) as bag:
         assert more_than_live(heard_and_logged(bag, TOPICS)) == {"cloud": 4}
+
+
+def test_a_node_that_was_started_again_has_heard_what_it_had_before(tmp_path):
+    reports = [
+        report(0, georeference_node={"cloud": 4, "imu": 40}),
+        report(NANO, georeference_node={"cloud": 7, "imu": 70}),
+        report(2 * NANO, georeference_node={}),
+        report(3 * NANO, georeference_node={"cloud": 1}),
+        report(4 * NANO, georeference_node={"cloud": 2, "imu": 21}),
+    ]
+    path = log(tmp_path / "log", reports, {"velodyne_points": (CLOUD, 12), "imu/data": (IMU, 91)})
+    with BagReader(path) as bag:
+        assert heard_and_logged(bag, TOPICS) == {"cloud": (9, 12), "imu": (91, 91)}

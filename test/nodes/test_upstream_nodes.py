@@ -40,6 +40,17 @@ def test_what_the_filter_put_off_is_named():
     assert reported(filter_node={"points_deferred": 0}).untaken_text() == ""
 
 
+def test_a_georeference_node_that_was_started_again_is_named():
+    nodes = UpstreamNodes("/", ("georeference_node", "filter_node"))
+    for sent in (10, 40, 40, None, 0, 5):
+        pairs = [] if sent is None else [KeyValue(key="sent_points", value=str(sent))]
+        status = DiagnosticStatus(name="georeference_node", values=pairs)
+        nodes.take(DiagnosticArray(status=[status]))
+        assert bool(nodes.untaken_text()) == (sent in (0, 5))
+    (doubt,) = nodes.verdict().doubts
+    assert doubt.name == "georeference_restarted" and "started again" in doubt.text
+
+
 def test_nodes_that_say_nothing_are_no_finding():
     assert reported().untaken_text() == ""
     assert reported(georeference_node={"sent_points": 5}).untaken_text() == ""

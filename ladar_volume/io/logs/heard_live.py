@@ -4,7 +4,7 @@ messages, its replay is not the live survey.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from ladar_volume.io.bags import Recording
 from ladar_volume.model.errors import BagError
@@ -14,26 +14,40 @@ from ladar_volume.model.verdict import Doubt, Verdict
 TOPIC, KIND, NODE = "diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "georeference_node"
 #: Messages by role, in the plural.
 UNITS = {"cloud": "clouds", "fix": "fixes", "imu": "attitudes", "odometry": "poses"}
+#: Lines of the reports that count them.
+COUNTS = frozenset(f"{key}_{r}" for r in UNITS for key in ("received", "lost_message_queue_full"))
 
 
 def live_counts(bag: Recording) -> dict[str, dict[str, int]]:
     """Messages that each georeference_node had received by its last report, without those that
-    found no room in its queue: by its full name, then by role.
+    found no room in its queue: by its full name, then by role. One that was started again counts
+    from 0: what it had received before is added.
     """
     found: dict[str, dict[str, int]] = {}
+    earlier: dict[str, list[dict[str, int]]] = {}
     if bag.topics().get(TOPIC, ("", 0))[0] != KIND:
         return found
     for raw in bag.raw({TOPIC}):
         for status in bag.message(raw).status:
             if status.name.rpartition("/")[2] != NODE:
                 continue
-            values = {v.key: v.value for v in status.values}
-            received = {role: values.get(f"received_{role}", "") for role in UNITS}
-            unused = {role: values.get(f"lost_message_queue_full_{role}", "0") for role in UNITS}
-            found[status.name] = {
-                role: int(n) - int(unused[role]) for role, n in received.items() if n.isdecimal()
-            }
-    return found
+            lines = [v for v in status.values if v.key in COUNTS and v.value.isdecimal()]
+            counts = {v.key: int(v.value) for v in lines}
+            last = found.get(status.name, {})
+            if any(counts.get(key, 0) < n for key, n in last.items()):
+                earlier.setdefault(status.name, []).append(last)
+            found[status.name] = counts
+    return {name: used([*earlier.get(name, []), last]) for name, last in found.items()}
+
+
+def used(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
+    """Messages by role that found room, from the counts of a node's starts."""
+    out = {}
+    for role in UNITS:
+        heard, unused = f"received_{role}", f"lost_message_queue_full_{role}"
+        if heard in counts[-1]:
+            out[role] = sum(each.get(heard, 0) - each.get(unused, 0) for each in counts)
+    return out
 
 
 def counts_of_node(

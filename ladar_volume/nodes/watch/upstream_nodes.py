@@ -8,6 +8,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from ladar_volume.model.verdict import Doubt, Verdict
 
+#: How many points georeference_node has sent since it was configured.
+SENT = "sent_points"
+
 
 def own_name(status_name: str, namespace: str) -> str | None:
     """The name of a node of this namespace; None for a status of somebody else."""
@@ -21,6 +24,7 @@ class UpstreamNodes:
     def __init__(self, namespace: str, names: Iterable[str]) -> None:
         self._namespace, self._names = namespace, tuple(names)
         self._last: dict[str, DiagnosticStatus] = {}
+        self._restarts = self._sent = 0
 
     def take(self, message: DiagnosticArray) -> None:
         """A message of /diagnostics."""
@@ -28,6 +32,10 @@ class UpstreamNodes:
             name = own_name(status.name, self._namespace)
             if name in self._names:
                 self._last[str(name)] = status
+        sent = self.lines("georeference_node").get(SENT, "")
+        if sent.isdecimal():
+            self._restarts += int(sent) < self._sent
+            self._sent = int(sent)
 
     def lines(self, name: str) -> dict[str, str]:
         """Keys and values of a node's last status; empty before its first one."""
@@ -47,13 +55,23 @@ class UpstreamNodes:
         }
 
     def verdict(self) -> Verdict:
-        """An error of an upstream node is a doubt of this node's result."""
-        return Verdict(
-            tuple(
-                Doubt(f"error_{name}", f"{name} reports an error: {status.message}")
-                for name, status in self._last.items()
-                if status.level == DiagnosticStatus.ERROR
-            )
+        """An error of an upstream node, or one that was started again, is a doubt of this node's
+        result.
+        """
+        found = [
+            Doubt(f"error_{name}", f"{name} reports an error: {status.message}")
+            for name, status in self._last.items()
+            if status.level == DiagnosticStatus.ERROR
+        ]
+        if self._restarts:
+            words = f"{self._restarted_text()}: replay the log"
+            found.append(Doubt("georeference_restarted", words, float(self._restarts)))
+        return Verdict(tuple(found))
+
+    def _restarted_text(self) -> str:
+        return (
+            "georeference_node was started again in the survey: what came while it was down is in "
+            "no volume"
         )
 
     def untaken_text(self) -> str:
@@ -65,7 +83,8 @@ class UpstreamNodes:
             for name, lost in self.losses().items()
             if (count := sum(n for why, n in lost.items() if why.startswith("message_queue_full")))
         ]
-        sent = self.lines("georeference_node").get("sent_points", "")
+        words += [self._restarted_text()] if self._restarts else []
+        sent = self.lines("georeference_node").get(SENT, "")
         taken = self.lines("filter_node").get("count_points", "")
         if sent.isdecimal() and taken.isdecimal() and int(taken) < int(sent):
             words.append(f"filter_node took {taken} of {sent} mapped points")
