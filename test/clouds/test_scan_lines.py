@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ladar_volume.clouds.filter.sparse_points import _on_sheet
 from ladar_volume.clouds.filter.surface_misfit import misfit_variance
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
 from ladar_volume.clouds.sampling.distinct_points import distinct_rows
@@ -122,6 +123,44 @@ def test_clutter_stays_on_request():
     assert len(kept.index) == len(result.index) + result.report["clutter"]
     taken = result.outliers[result.reason == REASONS.index("clutter")]
     assert np.mean(taken >= len(r)) > 0.95
+
+
+def ball(centre, radius, rows=30, columns=14):
+    """What a scanner at the origin sees of a ball: few columns of many rows."""
+    away, wide = np.linalg.norm(centre), 0.95 * np.arcsin(radius / np.linalg.norm(centre))
+    up, side = np.meshgrid(np.linspace(-wide, wide, rows), np.linspace(-wide, wide, columns))
+    u = np.column_stack([np.cos(up.ravel()) * np.cos(side.ravel()), np.sin(side.ravel())])
+    u = np.column_stack([u, np.sin(up.ravel())])
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    axis = centre / away
+    turn, _ = Rotation.align_vectors(axis[None], [[1.0, 0, 0]])
+    u = turn.apply(u)
+    along = u @ centre
+    square = radius**2 - away**2 + along**2
+    return u[square > 0] * (along - np.sqrt(np.maximum(square, 0.0)))[square > 0, None]
+
+
+def test_a_ball_of_few_columns_is_no_clutter():
+    rng = np.random.default_rng(5)
+    seen = ball(np.array([5.0, 4.0, -0.3]), 0.9)
+    seen = seen * (1.0 + 0.002 * rng.normal(size=len(seen)) / np.linalg.norm(seen, axis=1))[:, None]
+    r, _, _ = sweep(rings=48, step_deg=1.2, noise=0.002, stray=0.0)
+    result = filter_cloud(np.concatenate([r, seen]), FilterParameters(), auto=True)
+    own = result.outliers >= len(r)
+    assert np.count_nonzero(own) < 0.25 * len(seen)  # the rim
+
+
+def test_a_sheet_that_bends_is_told_from_leaves():
+    rng = np.random.default_rng(6)
+    seen = ball(np.array([6.0, 0.0, 0.0]), 1.0)
+    leaves = rng.uniform([9, -1, -1], [11, 1, 1], (600, 3))
+    r = np.concatenate([seen, leaves])
+    own, noise = np.arange(len(r)) < len(seen), np.full(len(r), 0.002)
+    for which in (np.ones(len(r), bool), ~own):
+        found = _on_sheet(r, which, noise)
+        assert not found[~own].any() and not found[~which].any()
+    assert np.mean(_on_sheet(r, own, noise)[own]) > 0.7
+    assert not _on_sheet(r, np.arange(len(r)) < 20, noise).any()  # too few to tell
 
 
 def test_a_single_ring_is_kept_and_its_noise_is_said_to_be_unknown():

@@ -20,6 +20,10 @@ LINE = 8
 #: The spacing of points too few for a surface over that of the points next to them: from ring to
 #: ring it may jump; and of those beside a surface among themselves.
 JUMP, BESIDE = 4.0, 2.0
+#: Points of a patch, and terms of its quadric; it is a sheet where they scatter about that by so
+#: many times their noise at most, and a point lies on one where this share of its neighbours do.
+#: Leaves fill their neighbourhood.
+PATCH, TERMS, THICK, SHEETS = 24, 6, 3.0, 0.75
 #: Quantile of the noise on surfaces that a point on none may have: surfaces that face the scanner
 #: show all of it. Noise of angles grows with the range, and so with the spacing: the noise over the
 #: spacing that surfaces of wide spacing, from that quantile on, show in the middle of them.
@@ -57,7 +61,11 @@ def classify_off_surface(
             stays |= kept & tuned.lines.remote  # a surface of few lines hides their noise
     leaves = ~stays & (reason == cell_surface.NO_SURFACE)
     if tuned.lines is not None:
-        reason[leaves & np.isfinite(tuned.lines.reach_m)] = CLUTTER
+        leaves &= np.isfinite(tuned.lines.reach_m)
+        bent = auto & _on_sheet(r, leaves, tuned.regions.sigma_m)
+        reason[bent] = cell_surface.FEW_POINTS
+        stays |= bent
+        reason[leaves & ~bent] = CLUTTER
         if "clutter" in keep:
             stays |= reason == CLUTTER
     normal = np.zeros((n, 3))
@@ -120,9 +128,48 @@ def _on_neighbour_surface(r: F64, projection: Projection, tuned: Tuning) -> Bool
     return out
 
 
+def _on_sheet(r: F64, open_: Bool, noise_m: F64) -> Bool:
+    """Which of the points ``open_`` (n,), of r (n, 3) m with noise (n,) m, lie on a smooth sheet
+    that bends by more over the distance at which lines come together, as a ball of few columns.
+    """
+    rows, out = np.flatnonzero(open_), np.zeros(len(r), np.bool_)
+    if len(rows) <= PATCH:
+        return out
+    found = cKDTree(r[rows], balanced_tree=False).query(r[rows], k=PATCH, workers=-1)
+    distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
+    left = _bent_residuals(r[rows][near])
+    thick = np.sqrt(np.sum(left**2, axis=1) / (PATCH - TERMS))
+    noise = THICK * noise_m[rows]
+    sheet = (thick <= noise) & (np.abs(left[:, 0]) <= noise)
+    among = distance[:, 2] <= BESIDE * np.median(distance[near, 2], axis=1)
+    out[rows] = among & sheet & (sheet[near[:, : PATCH // 2]].mean(axis=1) >= SHEETS)
+    return out
+
+
+def _bent_residuals(points: F64) -> F64:
+    """Residuals (s, k) m of patches of points (s, k, 3) m about a quadric of each."""
+    values, axes = _patch_axes(points)
+    x = np.einsum("ski,sij->skj", points - points.mean(axis=1, keepdims=True), axes)
+    size = np.sqrt(np.maximum(values[:, 2], 1e-300))[:, None]
+    u, v, w = x[:, :, 2] / size, x[:, :, 1] / size, x[:, :, 0]
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2)
+    normal = np.einsum("ski,skj->sij", terms, terms) + 1e-9 * np.eye(TERMS)
+    right = np.einsum("ski,sk->si", terms, w)
+    beta = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    return np.asarray(w - np.einsum("ski,si->sk", terms, beta))
+
+
 def _normals(r: F64, which: Bool) -> F64:
     """Normals (m, 3) of points that lie on lines: across their neighbours."""
     k = min(LINE, len(r))
     near = cKDTree(r, balanced_tree=False).query(r[which], k=k, workers=-1)[1].reshape(-1, k)
-    x = r[near] - r[near].mean(axis=1, keepdims=True)
-    return np.asarray(np.linalg.eigh(np.einsum("ski,skj->sij", x, x))[1][:, :, 0])
+    return _patch_axes(r[near])[1][:, :, 0]
+
+
+def _patch_axes(points: F64) -> tuple[F64, F64]:
+    """Mean squares (s, 3) m² along the own axes (s, 3, 3) of patches of points (s, k, 3) m, the
+    thinnest first.
+    """
+    x = points - points.mean(axis=1, keepdims=True)
+    values, axes = np.linalg.eigh(np.einsum("ski,skj->sij", x, x) / points.shape[1])
+    return np.maximum(values, 0.0), np.asarray(axes)
