@@ -63,6 +63,7 @@ from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
 from ladar_volume.clouds.sampling.cloud_objects import without_objects
 from ladar_volume.clouds.sampling.height_axis import check_height_axis
+from ladar_volume.clouds.sampling.pair_objects import without_new_objects
 from ladar_volume.clouds.sampling.site_lengths import (
     length_facts,
     named_lengths,
@@ -84,7 +85,7 @@ from ladar_volume.io.site.outline_files import Outlines
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import HeightError
-from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.piles.pile_site import SiteTask
@@ -252,7 +253,7 @@ def result_of(
     }
     facts |= {
         "clean": clean,
-        "objects": [dataclasses.asdict(one) for one in surfaces[0].objects[:MOST_OBJECTS]],
+        "objects": [dataclasses.asdict(one) for one in standing_on(surfaces)],
         "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
         "frame": frame_facts(frame),
         "options": option_facts(task.options),
@@ -261,6 +262,12 @@ def result_of(
     base, counted = base_of(task, found), found.counted[0]
     planes = () if found.site is None else tuple(pile.reference for pile in found.site.piles)
     return VolumeResult(surfaces, base, counted, facts, polygons_that_count(found), planes)
+
+
+def standing_on(surfaces: list[CloudSurface]) -> list[StandingObject]:
+    """What was taken out of the surfaces, the largest first."""
+    out = sorted((one for s in surfaces for one in s.objects), key=lambda one: -one.volume_m3)
+    return out[:MOST_OBJECTS]
 
 
 def check_axes(sources: list[Source]) -> None:
@@ -311,9 +318,20 @@ def make_surfaces(
     for source, sigma in zip(sources, sigmas, strict=False):
         progress(f"triangulating {len(source.cloud.r):,} points of {source.path.name}")
         made = make_surface(a, source, task.options, task.frame, sigma)
-        made = cleared_surface(task, made) if len(sources) == 1 else made
-        surfaces.append(dataclasses.replace(made, shared_errors=task.shared_errors))
-    return surfaces
+        surfaces.append(cleared_surface(task, made) if len(sources) == 1 else made)
+    if len(surfaces) == 2:
+        surfaces = cleared_pair(task, surfaces)
+    return [dataclasses.replace(made, shared_errors=task.shared_errors) for made in surfaces]
+
+
+def cleared_pair(task: VolumeTask, surfaces: list[CloudSurface]) -> list[CloudSurface]:
+    """Two surfaces without what stands on one of them alone, where they are compared."""
+    kept = task.arguments.clean == "off" or task.parameters.volume.objects != "remove"
+    if kept or task.frame is not None or task.base not in ("cloud", "second"):
+        return surfaces
+    task.progress("what stands on one of the two")
+    fitted = with_site_lengths(task, surfaces[0]).parameters
+    return without_new_objects(surfaces, fitted, task.options)
 
 
 def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
@@ -326,10 +344,13 @@ def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
     rings: list[F64] = []
     if task.outlines is not None:
         rings = [check_polygon(pile.ring) for pile in task.outlines.piles]
-    elif task.base != "ground" or v.outline != "auto" or a.piles is not None:
+    elif (task.base != "ground" or v.outline != "auto") and a.piles is None:
         return surface
     task.progress("what stands on the surface")
     fitted = with_site_lengths(task, surface).parameters
+    if a.piles is not None:  # piles that are found stand on the ground, whatever their base
+        volume = dataclasses.replace(fitted.volume, base="ground", outline="auto")
+        fitted = dataclasses.replace(fitted, volume=volume)
     return without_objects(surface, fitted, task.options, rings)
 
 

@@ -12,20 +12,25 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.change.surface_difference import difference
+from ladar_volume.clouds.between_points import between_points
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
+from ladar_volume.clouds.sampling.objects_beside import objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
+from ladar_volume.clouds.sampling.pair_objects import new_object_doubts
 from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.standing_objects import APART_M
+from ladar_volume.volume.field_checks.steep_faces import wall_m6
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Cells in which differences are averaged, about so many; fewest; least part of a cell that counts.
@@ -236,13 +241,11 @@ def with_pair_gaps(
     volume: CloudVolume, surfaces: list[CloudSurface], areas: list[F64]
 ) -> tuple[CloudVolume, list[Doubt]]:
     """The volume with what either cloud did not see, by kriging from around it; areas (m,) m² of
-    the triangles of each that count.
+    the triangles of each that count and that both saw.
     """
     doubts: list[Doubt] = []
-    pairs = zip(surfaces, surfaces[::-1], areas, (1.0, -1.0), strict=True)
-    for surface, other, area, sign in pairs:
+    for surface, inside, sign in zip(surfaces, areas, (1.0, -1.0), strict=True):
         tin = surface.representation.tin
-        inside = overlap_area(surface, other, area)
         gaps = find_gaps(tin, inside)
         if not len(gaps.areas):
             continue
@@ -262,6 +265,38 @@ def with_pair_gaps(
     return volume, doubts
 
 
+def with_pair_steps(
+    volume: CloudVolume, surfaces: list[CloudSurface], areas: list[F64]
+) -> CloudVolume:
+    """The volume with what lies between the points of either cloud: steps of which no point tells
+    where they are. areas (m,) m² : as for :func:`with_pair_gaps`
+    """
+    variance = 0.0
+    for surface, inside in zip(surfaces, areas, strict=True):
+        height = np.zeros(len(surface.representation.tin.vertices))  # gaps are kriged
+        variance += between_points(surface, inside, height).random_m6
+    return with_lines(volume, {"between_points": variance}) if variance > 0.0 else volume
+
+
+def with_walls(
+    volume: CloudVolume, ground: PairGround, changed: Bool, things: list[StandingObject]
+) -> CloudVolume:
+    """The volume with what is left of things that were taken out in sigma: steep faces beside them,
+    and no more than what they were. changed : (m,) triangles of the difference
+    """
+    tin = ground.tin
+    rows = np.flatnonzero(changed & ground.on_face[tin.triangles].any(axis=1))
+    middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
+    beside = np.zeros(len(rows), np.bool_)
+    for one in things:
+        away = np.hypot(*(middle - (one.x_m, one.y_m)).T)
+        beside |= away <= 0.5 * one.size_m + APART_M
+    faces = np.zeros(len(changed), np.bool_)
+    faces[rows[beside]] = True
+    wall = min(wall_m6(tin, faces, FACE_M), sum(one.volume_m3 for one in things) ** 2)
+    return with_lines(volume, {"wall": wall}) if wall > 0.0 else volume
+
+
 def pair_verdict(
     volume: CloudVolume,
     surfaces: list[CloudSurface],
@@ -275,7 +310,13 @@ def pair_verdict(
     """
     if any(s.sigma_m is None for s in surfaces) or math.isnan(volume.sigma_m3):
         return volume, Verdict()
+    pairs = zip(surfaces, surfaces[::-1], areas, strict=True)
+    areas = [overlap_area(*pair) for pair in pairs]
     volume, doubts = with_pair_gaps(volume, surfaces, areas)
+    volume = with_pair_steps(volume, surfaces, areas)
+    things = [one for k in (0, 1) for one in objects_within(surfaces[k], areas[k])]
+    doubts += new_object_doubts(things, volume.sigma_m3)
+    doubts += [doubt for s in surfaces if s.given_faces is None for doubt in s.doubts]
     if ground is None:
         return volume, Verdict(tuple(doubts))
     tin, least = ground.tin, ground.least_m
@@ -285,6 +326,7 @@ def pair_verdict(
     changed = within & (np.abs(height) > least)
     if changed.any():
         doubts += wall_doubts(tin, ground.level, changed, ground.on_face, least)
+        volume = with_walls(volume, ground, changed, things)
     sampled = [s.representation.sampled_area for s in surfaces]
     outline = outline_variance(tin, within, tin.vertices[:, 2], sampled)
     if outline > 0.0:

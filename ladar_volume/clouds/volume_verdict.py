@@ -22,12 +22,13 @@ from ladar_volume.clouds.ground_cover import (
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.clouds.sampling.cloud_objects import STEP
+from ladar_volume.clouds.sampling.objects_beside import beside_doubts, objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
 from ladar_volume.clouds.survey.flight_errors import vertex_slopes
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, Plane, StandingObject
+from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
@@ -335,12 +336,15 @@ def volume_with_verdict(
     rise = parameters.volume.object_height_m
     if base is None or math.isnan(found.sigma_m3):
         return with_readings(found, readings), Verdict(tuple(doubts))
-    if by_body:
+    doubts += object_doubts(objects_within(surface, inside), found.sigma_m3)
+    faces = np.zeros(len(tin.vertices), np.bool_)
+    if by_body or any(doubt.name == "object" for doubt in doubts):
         faces = faces_around(surface, base, inside, rise)
+    if by_body:
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
         doubts += below_base(found)
-    doubts += object_doubts(objects_within(surface, inside), found.sigma_m3)
-    found = with_missing(found, surface, base, inside, doubts, parameters)
+        doubts += beside_doubts(surface, inside, max(parameters.volume.min_body_m3, found.sigma_m3))
+    found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     found = with_readings(found, readings)
     if readings is not None:
         found, more = with_growth(found, surface, base, inside, rise)
@@ -348,32 +352,19 @@ def volume_with_verdict(
     return found, Verdict(tuple(doubts))
 
 
-def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, ...]:
-    """What was taken out where triangles of area inside (m,) m² count, or beside them."""
-    if not surface.objects:
-        return ()
-    tin, rows = surface.representation.tin, np.flatnonzero(inside > 0.0)
-    middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
-    out = []
-    for one in surface.objects:
-        away = np.hypot(*(middle - (one.x_m, one.y_m)).T).min(initial=np.inf)
-        if away <= 0.5 * one.size_m:
-            out.append(dataclasses.replace(one, inside=True))
-    return tuple(out)
-
-
 def with_missing(
     volume: CloudVolume,
-    surface: CloudSurface,
+    tin: Tin,
     base: Plane,
-    inside: F64,
+    counted: tuple[F64, Bool],
     doubts: list[Doubt],
     parameters: Parameters,
 ) -> CloudVolume:
     """The volume with what a cut took of the body and what walls may hide or add in sigma, where
-    they are doubted.
+    they are doubted. counted : area (m,) m² of each triangle that counts, and vertices (n,) on
+    steep faces
     """
-    tin, lines = surface.representation.tin, dict[str, float]()
+    lines, (inside, on_face) = dict[str, float](), counted
     doubted = {doubt.name: doubt.value or 0.0 for doubt in doubts}
     if "cut" in doubted:
         slope = vertex_slopes(tin)
@@ -382,7 +373,6 @@ def with_missing(
         size = abs(volume.cut_m3 - volume.fill_m3)
         lines["cut"] = cut_m6(tin, base, inside, normal, size, parameters)
     if "wall" in doubted or "object" in doubted:
-        on_face = faces_around(surface, base, inside, parameters.volume.object_height_m)
         faces = (inside > 0.0) & on_face[tin.triangles].any(axis=1)
         wall = wall_m6(tin, faces, STEP * parameters.volume.object_height_m)
         # no more of a thing can be left, or be missing, than what was taken out

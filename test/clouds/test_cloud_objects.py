@@ -49,7 +49,8 @@ def test_wires_over_a_pile_are_no_volume(tmp_path, capsys):
     ]
     facts = measured(tmp_path, capsys, points)
     assert holds(facts) and facts["sigma_m3"] < 0.02 * TRUE_M3
-    assert names(facts) == {"object"} and facts["objects"][0]["high_m"] > 5.0
+    assert names(facts) <= {"object", "further_bodies"} and "object" in names(facts)
+    assert facts["objects"][0]["high_m"] > 5.0
     counted = measured(tmp_path, capsys, points, "--set", "volume.objects=count")
     assert counted["net_m3"] > TRUE_M3 + 10.0 and counted["objects"] == []
 
@@ -111,6 +112,34 @@ def test_a_box_for_which_an_outline_was_drawn_stays(tmp_path, capsys):
     z = np.where((np.abs(xy) < (3.0, 2.0)).all(axis=1), 1.5, 0.0)
     facts = measured(tmp_path, capsys, np.c_[xy, z + noise], *drawn(tmp_path, 4.6, 3.4))
     assert facts["objects"] == [] and facts["net_m3"] == pytest.approx(36.0, rel=0.05)
+
+
+def test_an_upright_thing_beside_the_body_is_named(tmp_path, capsys):
+    """It may be a heap between walls, and is not counted."""
+    _, xy, noise = site(9, half=16.0)
+    z = cone(xy)
+    z[(np.abs(xy - 12.0) < 2.0).all(axis=1)] = 2.0
+    points = np.c_[xy, z + noise]
+    facts = measured(tmp_path, capsys, points)
+    assert holds(facts) and "further_bodies" in names(facts)
+    away = [math.hypot(one["x_m"] - 12.0, one["y_m"] - 12.0) for one in facts["objects"]]
+    assert min(away) < 0.5
+    both = measured(
+        tmp_path, capsys, points, "--set", "volume.objects=count", "--set", "volume.bodies=0"
+    )
+    assert both["net_m3"] == pytest.approx(TRUE_M3 + 32.0, rel=0.03)
+
+
+def test_things_are_taken_out_of_piles_that_are_found(tmp_path, capsys):
+    rng, xy, noise = site(10, half=22.0)
+    z = cone(xy - [-10.0, -8.0]) + cone(xy - [9.0, 8.0])
+    z[(np.abs(xy - [12.0, 8.0]) < (1.0, 1.5)).all(axis=1)] += 2.2
+    crown = (np.hypot(*(xy - [-16.0, 16.0]).T) < 1.8) & (rng.random(len(xy)) < 0.6)
+    z[crown] += rng.uniform(3.0, 6.0, int(crown.sum()))
+    facts = measured(tmp_path, capsys, np.c_[xy, z + noise], "--piles", "found")
+    assert len(facts["piles"]) == 2 and holds(facts, 2.0 * TRUE_M3)
+    assert all(holds(pile) for pile in facts["piles"])
+    assert {"object", "further_bodies"} <= names(facts) and len(facts["objects"]) >= 2
 
 
 def test_a_box_is_the_body(tmp_path, capsys):

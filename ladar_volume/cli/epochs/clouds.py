@@ -26,9 +26,12 @@ from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.epochs.cloud_change import CloudChange, cloud_change
 from ladar_volume.clouds.epochs.cloud_registration import Registration, by_height, by_icp
 from ladar_volume.clouds.pair_verdict import named_part, pair_ground
+from ladar_volume.clouds.sampling.pair_objects import without_new_objects
+from ladar_volume.clouds.sampling.site_lengths import site_lengths, size_of
+from ladar_volume.io.results import MOST_OBJECTS
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.model.errors import ConfigurationError
-from ladar_volume.model.parameters import VolumeParameters
+from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
@@ -44,6 +47,8 @@ def compare_clouds(arguments: argparse.Namespace, folder: Path, console: Console
         doubts = Verdict(reading_doubts(clouds_of(sources)))
         status.update("triangulating")
         registration, surfaces = registered(arguments, sources, stable)
+        status.update("what stands on one of the two")
+        surfaces = cleared(arguments, surfaces)
         previous, new = surfaces
         status.update("comparing")
         k = NormalDist().inv_cdf(0.5 + VolumeParameters().confidence / 2.0)
@@ -54,6 +59,7 @@ def compare_clouds(arguments: argparse.Namespace, folder: Path, console: Console
         **change_facts(found, k),
         "registration": None if registration is None else registration.facts,
         "verdict": (doubts + found.verdict).as_dict(),
+        "objects": [dataclasses.asdict(one) for s in surfaces for one in s.objects[:MOST_OBJECTS]],
         "previous": surface_facts(sources[0], previous),
         "new": surface_facts(sources[1], new),
         "frame": frame_words(registration),
@@ -88,6 +94,15 @@ def registered(
     if found is not None:
         surfaces = [surfaces[0], surface_of(a, moved(sources[1], found.transform), a.sigma)]
     return found, surfaces
+
+
+def cleared(arguments: argparse.Namespace, surfaces: list[CloudSurface]) -> list[CloudSurface]:
+    """Both surfaces without what stands on one of them alone."""
+    if arguments.clean == "off":
+        return surfaces
+    fitted = site_lengths(Parameters(), size_of(surfaces[0]))
+    options = surface_options(arguments, SurfaceParameters(ratio=1.0))
+    return without_new_objects(surfaces, fitted, options)
 
 
 def surface_of(arguments: argparse.Namespace, source: Source, sigma: float | None) -> CloudSurface:

@@ -16,6 +16,7 @@ import numpy as np
 from ladar_volume.cli.inputs.reading import Source
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.sampling.objects_beside import beside_doubts
 from ladar_volume.io.results import finite
 from ladar_volume.io.site.height_budget import read_budget, read_height_errors
 from ladar_volume.io.site.outline_files import Outlines, read_outlines
@@ -134,7 +135,12 @@ def pile_volumes(
     named = base in ("second", "level", "plane") or a.base is not None
     words = base_words(a, base, parameters)
     task = dataclasses.replace(asked, is_named=named, words=words, second=second)
-    return piles_of(surfaces[0], piles, task, progress)
+    found = piles_of(surfaces[0], piles, task, progress)
+    if outlines is not None:
+        return found
+    inside = np.sum([pile.inside_m2 for pile in found.piles], axis=0)
+    beside = beside_doubts(surfaces[0], inside, parameters.volume.min_body_m3)
+    return dataclasses.replace(found, verdict=found.verdict + Verdict(tuple(beside)))
 
 
 def base_words(a: argparse.Namespace, base: str, parameters: Parameters) -> str:

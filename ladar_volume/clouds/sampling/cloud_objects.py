@@ -10,7 +10,7 @@ beside such a part, and well above the surface that is left.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from ladar_volume.volume.field_checks.standing_objects import (
 from ladar_volume.volume.polygon import areas_inside
 
 Objects = tuple[StandingObject, ...]
+#: Vertices (n,) of a thinned surface that stand on it, and triangles (m,) that count, for a noise
+#: of its heights, parameters and the height of a step, m.
+Find = Callable[[Tin, float, Parameters, float], tuple[Bool, Bool]]
 
 #: Steps are so many times as high as the least body, and than so many standard deviations of one
 #: height.
@@ -140,33 +143,48 @@ def without_objects(
     """The surface without what stands on it, which it names; itself where nothing does, or where
     nothing would be left. rings : outlines (k, 2) m that are given, none for that of the main body
     """
-    made = surface.representation
+
+    def find(tin: Tin, sigma_m: float, own: Parameters, step_m: float) -> tuple[Bool, Bool]:
+        return standing_in(tin, rings, sigma_m, own, step_m)
+
+    kept, found = what_stays(surface, parameters, find)
+    return rebuilt(surface, kept, options, found) if found else surface
+
+
+def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tuple[I64, Objects]:
+    """Rows (k,) of the points of a surface that belong to it, and what stands on it, which others
+    belong to, the largest first.
+    """
+    kept, found = np.arange(len(surface.points)), list[StandingObject]()
     if surface.sigma_m is None or surface.given_faces is not None:
-        return surface
-    sigma = float(np.median(surface.sigma_m))
-    step = max(STEP * parameters.volume.object_height_m, CLEAR * sigma)
+        return kept, ()
+    made, sigma = surface.representation, float(np.median(surface.sigma_m))
+    step = step_of(surface, parameters)
     area = made.sampled_area
     at = spacings(surface.points[:, :2]) if area is None else area.spacings_m
     spacing = float(np.median(at))
     if spacing >= step and not any_step(made.tin.triangles, made.tin.vertices, step, STEEP):
-        return surface
+        return kept, ()
     longest = max(parameters.volume.max_edge_m, REACH * spacing)
     volume = dataclasses.replace(parameters.volume, max_edge_m=longest)
     parameters = dataclasses.replace(parameters, volume=volume)
-    kept, found = np.arange(len(surface.points)), list[StandingObject]()
     for _ in range(ROUNDS):
         points = surface.points[kept]
         try:
             tin = thinned_tin(points, step, spacing)
             if not any_step(tin.triangles, tin.vertices, step, STEEP):
                 break
-            standing, inside = standing_in(tin, rings, sigma, parameters, step)
+            standing, inside = find(tin, sigma, parameters, step)
         except (GroundError, SurfaceError, VolumeError):  # no ground: the volume will say so
             break
         if not standing.any():
             break
         found += objects_of(tin, standing, standing, inside)
         kept = kept[~standing_points(points, tin, standing, step, max(step, spacing))]
-    if not found:
-        return surface
-    return rebuilt(surface, kept, options, tuple(sorted(found, key=lambda one: -one.volume_m3)))
+    return kept, tuple(sorted(found, key=lambda one: -one.volume_m3))
+
+
+def step_of(surface: CloudSurface, parameters: Parameters) -> float:
+    """How high a step is, m, on a surface whose noise is known."""
+    sigma = 0.0 if surface.sigma_m is None else float(np.median(surface.sigma_m))
+    return max(STEP * parameters.volume.object_height_m, CLEAR * sigma)

@@ -1,0 +1,50 @@
+"""What was taken out of a cloud because it stands on its surface: what of it is of an outline, and
+what is beside it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.model.records import F64, StandingObject
+from ladar_volume.model.verdict import Doubt
+
+
+def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, ...]:
+    """What was taken out where triangles of area inside (m,) m² count, or beside them."""
+    if not surface.objects:
+        return ()
+    tin, rows = surface.representation.tin, np.flatnonzero(inside > 0.0)
+    middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
+    out = []
+    for one in surface.objects:
+        away = np.hypot(*(middle - (one.x_m, one.y_m)).T).min(initial=np.inf)
+        if away <= 0.5 * one.size_m:
+            out.append(dataclasses.replace(one, inside=True))
+    return tuple(out)
+
+
+def beside_doubts(surface: CloudSurface, inside: F64, least_m3: float) -> list[Doubt]:
+    """What stands beside an outline, inside (m,) m² of each triangle, and is as large as a further
+    body, is not in the volume: an upright heap looks like a machine.
+    """
+    own = {(one.x_m, one.y_m) for one in objects_within(surface, inside)}
+    away = [
+        one
+        for one in surface.objects
+        if (one.x_m, one.y_m) not in own and one.volume_m3 >= least_m3
+    ]
+    if not away:
+        return []
+    one = max(away, key=lambda each: each.volume_m3)
+    several = f"{len(away)} things stand" if len(away) > 1 else "something stands"
+    words = (
+        f"{several} on steep faces beside what counts and {'are' if len(away) > 1 else 'is'} not "
+        f"in the volume, the largest of {one.volume_m3:.3g} m³, {one.size_m:.2g} m wide and "
+        f"{one.high_m:.2g} m high, at ({one.x_m:.1f}, {one.y_m:.1f}) m; where it is a heap, set "
+        "volume.objects to count and volume.bodies to 0, or draw an outline around it"
+    )
+    return [Doubt("further_bodies", words, sum(each.volume_m3 for each in away))]
