@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
@@ -33,6 +34,9 @@ SHIFTS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 #: Triangles that are enough, of all coarser surfaces together; where one has more, those in squares
 #: of so many spacings, spread evenly over the outline, stand for all.
 ENOUGH, SQUARE = 400_000, 30.0
+#: A coarser surface is made of what lies within so many spacings of where it is compared, and more:
+#: triangles there are those of all. Most cells of the raster that tells it.
+AROUND, MOST_CELLS = 12.0, 1e8
 #: A sum of differences above this many times the root of its squares is no chance.
 CHANCE = 2.5
 #: Weights of the centre and of each corner of a triangle: exact for quadratics.
@@ -91,13 +95,14 @@ def between_points(
         return BetweenPoints(0.0, 0.0, hidden)
     seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing, own)
     finest = wide(tin, seen)
+    near = near_triangles(tin, own, seen, spacing)
     squares, totals, noises, ratios, few = [], [], [], [], []
     shifts = SHIFTS[: math.ceil(ENOUGH / np.count_nonzero(seen > 0))]
     for shift in shifts:
         kept = thin_by_spacing(own, spacing, shift)
         if len(kept) < FEWEST // 4:
             return BetweenPoints(0.0, 0.0, hidden)
-        blocks, noise, size = coarser(surface, seen, kept, own)
+        blocks, noise, size = coarser(surface, seen, kept[near[kept]], own)
         ratios.append(size / max(finest, 1e-300))
         squares.append(float((blocks**2).sum()))
         # a variance from few blocks is itself uncertain
@@ -151,6 +156,26 @@ def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, flo
     low, _ = raster_between(first, side)
     kept = np.where(chosen_squares(xy, tin.triangles, low, side, every), inside, 0.0)
     return kept, float(kept.sum() / inside.sum())
+
+
+def near_triangles(tin: Tin, xy: F64, inside: F64, spacing: F64) -> Bool:
+    """Which vertices (n,) lie in the square cells of corners of triangles within the outline, or
+    beside them, cells of :data:`AROUND` spacings: those that a coarser surface is made of there.
+    xy : (n, 2) m, the vertices along their own axes
+    """
+    side = AROUND * float(np.median(spacing))
+    if not (math.isfinite(side) and side > 0.0):
+        return np.ones(len(xy), np.bool_)
+    low, size = raster_of(xy, side)
+    if float(size[0]) * float(size[1]) > MOST_CELLS:
+        return np.ones(len(xy), np.bool_)
+    cell = np.floor((xy - low) / side).astype(np.int32)
+    marked = np.zeros(size, np.bool_)
+    corners = np.unique(tin.triangles[inside > 0])
+    marked[cell[corners, 0], cell[corners, 1]] = True
+    marked = ndimage.binary_dilation(marked, np.ones((3, 3), np.bool_))
+    out: Bool = marked[cell[:, 0], cell[:, 1]]
+    return out
 
 
 class Places(NamedTuple):

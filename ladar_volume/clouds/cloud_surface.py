@@ -69,17 +69,19 @@ class CloudSurface:
             return np.zeros(len(source))
         return np.where(source >= 0, self.sigma_m[source] ** 2, 0.0)
 
-    def variance(self, gradient_z: F64) -> F64:
+    def variance(self, gradient_z: F64, apart: bool = False) -> F64:
         """Variances (k,) of k results with gradients (n, k) by the vertex heights, through the
-        adjustment; NaN where the noise is not known.
+        adjustment; NaN where the noise is not known. With ``apart`` one more: of the second result
+        less the first.
         """
         if self.sigma_m is None:
-            return np.full(gradient_z.shape[1], np.nan)
-        raw = self.representation.by_heights(gradient_z, len(self.points))
-        out: F64 = self.representation.variance_factor * np.einsum(
-            "nk,nk,n->k", raw, raw, self.sigma_m**2
-        )
-        return out
+            return np.full(gradient_z.shape[1] + apart, np.nan)
+        raw, square = self.representation.by_heights(gradient_z, len(self.points)), self.sigma_m**2
+        out: F64 = np.einsum("nk,nk,n->k", raw, raw, square)
+        if apart:
+            d = raw[:, 1] - raw[:, 0]
+            out = np.append(out, np.einsum("n,n,n->", d, d, square))
+        return self.representation.variance_factor * out
 
     def shared_lines(self, gradient_z: F64) -> dict[str, F64]:
         """Variances (k,), by shared error, of k results with gradients (n, k) by the heights."""

@@ -18,7 +18,7 @@ import numpy as np
 from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_inverse, ground_residuals
-from ladar_volume.ground.polynomial import degree_of, design, design_surface, height_above
+from ladar_volume.ground.polynomial import degree_of, design_surface, height_above, monomials
 from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
@@ -88,10 +88,11 @@ def corrected_volume(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
     """The volume with its correction and standard deviations."""
     total, shared = np.zeros(3), dict[str, F64]()
     for surface, gradient in solid.gradients:
-        columns = np.c_[gradient, gradient[:, 1] - gradient[:, 0]]
-        total += surface.variance(columns)
-        for name, line in surface.shared_lines(columns).items():
-            shared[name] = shared.get(name, np.zeros(3)) + line
+        total += surface.variance(gradient, apart=True)
+        if surface.shared_errors or surface.flight is not None:
+            columns = np.c_[gradient, gradient[:, 1] - gradient[:, 0]]
+            for name, line in surface.shared_lines(columns).items():
+                shared[name] = shared.get(name, np.zeros(3)) + line
     extra = sum(solid.extra.values()) + sum(shared.values())
     net, cut, fill = np.sqrt(
         np.maximum(total + extra + [0.0, solid.curved_m6, solid.curved_m6], 0.0)
@@ -224,7 +225,8 @@ def solid_above(
     extra: dict[str, float] = {}
     if len(base.support):
         # the base moves with the points that define it
-        by_cut = -design(tin.vertices[:, :2], base.origin_xy, degree_of(base)).T @ cut
+        columns = monomials(tin.vertices[:, :2], base.origin_xy, degree_of(base))
+        by_cut = -np.array([cut.sum(), *(column @ cut for column in columns)])
         by_beta = np.stack([base_net, by_cut], axis=1)
         N = ground_inverse(tin.vertices, base)
         for k in range(2):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of, design, inverse_root
+from ladar_volume.ground.polynomial import degree_of, solve_points
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64, Plane
 
@@ -15,10 +15,9 @@ def ground_inverse(points: F64, plane: Plane) -> F64:
     """``N = (XᵀX)⁻¹`` (p, p) of the points (n, 3) ``plane.support``: coefficients follow heights by
     ``N Xᵀ``. Raises as :func:`~ladar_volume.ground.polynomial.inverse_root`.
     """
-    degree = degree_of(plane)
-    S = inverse_root(design(points[plane.support, :2], plane.origin_xy, degree), degree)
-    out: F64 = S @ S.T
-    return out
+    inside = np.zeros(len(points), np.bool_)
+    inside[plane.support] = True
+    return solve_points(points, inside, plane.origin_xy, degree_of(plane))[1]
 
 
 @kernel

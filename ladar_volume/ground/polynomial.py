@@ -10,10 +10,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ladar_volume.model.errors import GroundError
-from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.records import F64, Bool, Plane
 
 #: Number of coefficients by degree.
 COEFFICIENTS = (1, 3, 6, 10)
+#: Rows of a design that are held at a time.
+PART = 1 << 18
 #: Where what a column of length 1 has of its own beside the others is more than this, products of
 #: columns keep twelve digits of it.
 FIXED = 1e-2
@@ -75,6 +77,16 @@ def base_height(plane: Plane, xy: F64) -> F64:
     return out
 
 
+def heights_above(points: F64, origin_xy: F64, beta: F64) -> F64:
+    """Heights (n,) m of points (n, 3) above the surface of coefficients beta (p,), part by part."""
+    out = np.empty(len(points))
+    degree = COEFFICIENTS.index(len(beta))
+    for low in range(0, len(points), PART):
+        r = points[low : low + PART]
+        out[low : low + PART] = r[:, 2] - design(r[:, :2], origin_xy, degree) @ beta
+    return out
+
+
 def height_above(points: F64, base: Plane | None) -> F64:
     """Vertical heights (n,) m of points (n, 3) above a base surface; their z without one."""
     if base is None:
@@ -123,6 +135,35 @@ def solve(X: F64, z: F64, degree: int) -> tuple[F64, F64]:
     """
     S = inverse_root(X, degree)
     return S @ (S.T @ (X.T @ z)), S @ S.T
+
+
+def solve_points(points: F64, inside: Bool, origin_xy: F64, degree: int) -> tuple[F64, F64]:
+    """:func:`solve` of those of points (n, 3) m that are ``inside`` (n,), whose rows are not all
+    held at once.
+    """
+    square, right = design_sums(points, inside, origin_xy, degree)
+    S = root_of_products(int(np.count_nonzero(inside)), square, degree)
+    if S is None:
+        S = inverse_root(design(points[inside, :2], origin_xy, degree), degree)
+    return S @ (S.T @ right), S @ S.T
+
+
+def design_sums(
+    points: F64, inside: Bool, origin_xy: F64, degree: int, weight: F64 | None = None
+) -> tuple[F64, F64]:
+    """``XᵀWX`` (p, p) and ``XᵀWz`` (p,) of those of points (n, 3) m that are ``inside`` (n,), part
+    by part; weight (n,), 1 where there is none.
+    """
+    p = COEFFICIENTS[degree]
+    square, right = np.zeros((p, p)), np.zeros(p)
+    for low in range(0, len(points), PART):
+        part = slice(low, low + PART)
+        r = points[part].compress(inside[part], axis=0)
+        X = design(r[:, :2], origin_xy, degree)
+        W = X if weight is None else X * weight[part].compress(inside[part])[:, None]
+        square += W.T @ X
+        right += W.T @ r[:, 2]
+    return square, right
 
 
 def inverse_root(X: F64, degree: int) -> F64:

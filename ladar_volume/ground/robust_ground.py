@@ -17,9 +17,10 @@ from ladar_volume.ground.ground_sampling import best_candidate
 from ladar_volume.ground.polynomial import (
     COEFFICIENTS,
     base_height,
-    design,
+    design_sums,
     height_above,
-    solve,
+    heights_above,
+    solve_points,
     tilt_of,
 )
 from ladar_volume.model.errors import GroundError
@@ -77,14 +78,13 @@ def refine(
     """
     threshold = parameters.threshold_m
     origin, degree = start.origin_xy, parameters.degree
-    X, z = design(points[:, :2], origin, degree), np.ascontiguousarray(points[:, 2])
+    z = points[:, 2]
     inside: Bool = np.abs(z - base_height(start, points[:, :2])) <= (threshold or reach_m)
     # a floor of rounding size keeps exact planes from losing points to the last bit
-    floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
-    beta, N, inside = _iterate_inliers(X, z, inside, parameters, floor)
-    rows, residual = X.compress(inside, axis=0), (z - X @ beta)[inside]
-    del X  # as large as the cloud
-    C_beta = N @ ((rows.T * variance[inside]) @ rows) @ N
+    floor = 1e-9 * (1.0 + max(float(z.max(initial=0.0)), -float(z.min(initial=0.0))))
+    beta, N, inside = _iterate_inliers(points, origin, inside, parameters, floor)
+    residual = heights_above(points, origin, beta)[inside]
+    C_beta = N @ design_sums(points, inside, origin, degree, variance)[0] @ N
     support = np.flatnonzero(inside).astype(np.int64)
     plane = Plane(origin, beta, C_beta, support, float(np.sqrt(np.mean(residual**2))))
     check_tilt(plane, parameters)
@@ -92,15 +92,15 @@ def refine(
 
 
 def _iterate_inliers(
-    X: F64, z: F64, inside: Bool, parameters: GroundParameters, floor: float
+    points: F64, origin_xy: F64, inside: Bool, parameters: GroundParameters, floor: float
 ) -> tuple[F64, F64, Bool]:
-    """Coefficients (p,), inverse normal matrix (p, p) and inliers (n,) of the fit of heights z (n,)
-    m to rows X (n, p), from first inliers; a threshold of its own is at least ``floor``, m.
+    """Coefficients (p,), inverse normal matrix (p, p) and inliers (n,) of the fit to points (n, 3)
+    m, from first inliers; a threshold of its own is at least ``floor``, m.
     """
     seen: set[bytes] = set()
     for left in range(MAX_REFITS, -1, -1):
-        beta, N = solve(X.compress(inside, axis=0), z[inside], parameters.degree)
-        residual = z - X @ beta
+        beta, N = solve_points(points, inside, origin_xy, parameters.degree)
+        residual = heights_above(points, origin_xy, beta)
         limit = parameters.threshold_m or max(
             THRESHOLD_SIGMAS * ground_sigma(residual[inside]), floor
         )

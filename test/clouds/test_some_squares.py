@@ -1,9 +1,17 @@
 """Squares that stand for all triangles, against plain NumPy."""
 
-import numpy as np
+import dataclasses
+from typing import Any
 
+import numpy as np
+import pytest
+
+from ladar_volume.clouds import between_points as between
 from ladar_volume.clouds.between_points import chosen_squares, extent_at
+from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.math.equal_rows import rows_of
+from ladar_volume.model.surface_parameters import SurfaceParameters
+from ladar_volume.tin.full_tin import footprint_areas
 
 
 def test_triangles_in_every_so_many_squares() -> None:
@@ -23,3 +31,29 @@ def test_rows_of_all_are_the_values_themselves() -> None:
     assert rows_of(values, np.arange(4)) is values
     assert np.array_equal(rows_of(values, np.array([0, 2])), values[[0, 2]])
     assert rows_of(values[:, ::-1], np.arange(4)).flags.c_contiguous
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_coarser_surface_of_what_is_near_is_that_of_all(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, 30.0, (9000, 2))
+    z = np.where(np.hypot(*(xy - 15.0).T) < 6.0, 2.0, 0.0) + rng.normal(0.0, 0.01, len(xy))
+    surface = cloud_surface(np.c_[xy, z], SurfaceParameters(ratio=1.0), 0.01)
+    tin = surface.representation.tin
+    middle = tin.vertices[tin.triangles, :2].mean(axis=1)
+    own = np.hypot(*(middle - 15.0).T) < 7.0
+    inside = np.where(own, footprint_areas(tin.vertices, tin.triangles), 0.0)
+    found = between.between_points(surface, inside, tin.vertices[:, 2])
+    calls: list[float] = []
+
+    def everywhere(*asked: Any) -> Any:
+        calls.append(float(near(*asked).mean()))
+        return np.ones(len(tin.vertices), bool)
+
+    near = between.near_triangles
+    monkeypatch.setattr(between, "near_triangles", everywhere)
+    whole = between.between_points(surface, inside, tin.vertices[:, 2])
+    assert calls[0] < 0.8 and found.random_m6 > 0.0
+    assert dataclasses.astuple(found) == pytest.approx(dataclasses.astuple(whole), rel=1e-9)
