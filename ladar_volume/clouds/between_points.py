@@ -94,8 +94,7 @@ def between_points(
     if np.count_nonzero(inside[~bridged]) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
     seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing, own)
-    finest = wide(tin, seen)
-    near = near_triangles(tin, own, seen, spacing)
+    finest, near = wide(tin, seen), near_triangles(tin, own, seen, spacing)
     squares, totals, noises, ratios, few = [], [], [], [], []
     shifts = SHIFTS[: math.ceil(ENOUGH / np.count_nonzero(seen > 0))]
     for shift in shifts:

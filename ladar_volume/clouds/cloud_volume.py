@@ -221,8 +221,7 @@ def solid_above(
         near = near_base(tin, base, C, whole, selected=has_selected_vertices(surface))
         curved = near.curved_m6 + near.remaining.sigma_m3**2
         cut = cut if by_polygon else near.gradient_cut
-    gradient = np.stack([net, cut], axis=1)
-    extra: dict[str, float] = {}
+    gradient, extra = np.stack([net, cut], axis=1), dict[str, float]()
     if len(base.support):
         # the base moves with the points that define it
         columns = monomials(tin.vertices[:, :2], base.origin_xy, degree_of(base))

@@ -333,17 +333,16 @@ def volume_with_verdict(
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found) + coarse_doubts(found, between)
-    rise = parameters.volume.object_height_m
     if base is None or math.isnan(found.sigma_m3):
         return with_readings(found, readings), Verdict(tuple(doubts))
+    rise, least = parameters.volume.object_height_m, parameters.volume.min_body_m3
     doubts += object_doubts(objects_within(surface, inside), found.sigma_m3)
     faces = np.zeros(len(tin.vertices), np.bool_)
     if by_body or any(doubt.name == "object" for doubt in doubts):
         faces = faces_around(surface, base, inside, rise)
     if by_body:
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
-        doubts += below_base(found)
-        doubts += beside_doubts(surface, inside, max(parameters.volume.min_body_m3, found.sigma_m3))
+        doubts += below_base(found) + beside_doubts(surface, inside, max(least, found.sigma_m3))
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     found = with_readings(found, readings)
     if readings is not None:
