@@ -1,7 +1,7 @@
 """Cross covariance blocks of patches that share raw points (UNCERTAINTY step 3).
 
-``C_ab = (X_aᵀX_a)⁻¹ (Σ_{j in a and b} x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ) (X_bᵀX_b)⁻¹``, stored once
-with key_b >= key_a.
+``C_ab = (X_aᵀW_aX_a)⁻¹ (Σ_{j in a and b} w_j^a x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ w_j^b) (X_bᵀW_bX_b)⁻¹``,
+stored once with key_b >= key_a. W: what each return stands for (``thinning_weights``).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Marks(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Rows of the inliers of one patch: X (n, 9), and of those shared with another G (n, 6), Y
+    """Rows of the inliers of one patch: X (n, 10), and of those shared with another G (n, 6), Y
     (n, 5).
     """
 
@@ -173,13 +173,14 @@ def _noise_along(C: F32, n: F64, out: F64) -> None:
 
 @kernel
 def _rows_of(a: int, store: VoxelArrays, fits: Fits, p: int, X: F64) -> None:
-    """Of each inlier of patch a: its row in X[:, :6] and ``C n`` in X[:, 6:9]."""
+    """Of each inlier of patch a: its row in X[:, :6], ``C n`` in X[:, 6:9], its weight."""
     side = np.empty(3)
     second_tangent(fits.normal[a], fits.tangent[a], side)
     for i in range(fits.used[a]):
         slot = fits.members[fits.start[a] + i]
         row_of(store.r, slot, fits.centre[a], fits.tangent[a], side, p, X[i, :6])
         _noise_along(store.C[slot], fits.normal[a], X[i, 6:9])
+        X[i, 9] = fits.weights[fits.start[a] + i]
 
 
 @kernel
@@ -226,7 +227,7 @@ def _sandwich(left: F64, S: F64, right: F64, p: int, out: F32) -> None:
 def _shared_products(
     a: int, b: int, swap: bool, store: VoxelArrays, fits: Fits, p: int, marks: Marks, work: Work
 ) -> Any:
-    """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to
+    """Of each inlier that patch b shares with a: weighted ``n_aᵀ C n_b`` times its row on the one patch to
     G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with ``swap``
     that on b: the same numbers as from the other patch's side.
     """
@@ -243,15 +244,16 @@ def _shared_products(
         slot, i = fits.members[j], marks.place[marks.local[j]]
         x0, x1, x2 = r[slot, 0] - c0, r[slot, 1] - c1, r[slot, 2] - c2
         u, v = x0 * t0 + x1 * t1 + x2 * t2, x0 * side[0] + x1 * side[1] + x2 * side[2]
+        weight = X[i, 9] * fits.weights[j]
         if swap:
             _noise_along(store.C[slot], nb, w)
-            variance = w[0] * na[0] + w[1] * na[1] + w[2] * na[2]
+            variance = weight * (w[0] * na[0] + w[1] * na[1] + w[2] * na[2])
             basis(u, v, p, x)
             for l in range(p):
                 G[m, l] = variance * x[l]
             u, v = X[i, 1], X[i, 2]
         else:
-            variance = X[i, 6] * nb[0] + X[i, 7] * nb[1] + X[i, 8] * nb[2]
+            variance = weight * (X[i, 6] * nb[0] + X[i, 7] * nb[1] + X[i, 8] * nb[2])
             for l in range(p):
                 G[m, l] = variance * X[i, l]
         Y[m, 0], Y[m, 1], Y[m, 2], Y[m, 3], Y[m, 4] = u, v, u * u, u * v, v * v
@@ -277,7 +279,7 @@ def _blocks_of(
         most = max(most, fits.used[a])
     local = slots.number
     marks = Marks(np.full(slots.total, -1, np.int32), np.empty(slots.total, np.int32), local)
-    work = Work(np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)))
+    work = Work(np.zeros((most, 10)), np.zeros((most, 6)), np.zeros((most, 5)))
     S = np.zeros((6, 6))
     for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
         a = rows[row]

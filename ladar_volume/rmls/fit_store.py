@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ladar_volume.math.array_types import F64, I32, I64, U32, Bool
+from ladar_volume.math.array_types import F32, F64, I32, I64, U32, Bool
 from ladar_volume.math.kernels import kernel
 from ladar_volume.rmls.patch_fit import OK
+from ladar_volume.rmls.thinning_weights import weigh_inliers
 from ladar_volume.rmls.voxel_store import VoxelArrays, VoxelStore
 
 #: Bits of one word of an entry.
@@ -24,11 +25,11 @@ COLUMNS = ("status", "used", "sigma", "time", "centre", "normal", "tangent", "be
 
 class Fits(NamedTuple):
     """Fits by row; the slots of row a's inliers, where they are listed, are ``members[start[a] :
-    start[a] + used[a]]``, in canonical order.
+    start[a] + used[a]]``, in canonical order, and their weights in the fit ``weights`` beside them.
 
     voxels : (m,) index of each row's voxel · status : see ``fit`` · sigma : (m,) m · time : (m,)
     mean time, ns · centre, normal, tangent : (m, 3) · beta : (m, 6) · inverse : (m, 6, 6) of the
-    normal matrix
+    weighted normal matrix
     """
 
     voxels: I64
@@ -43,6 +44,7 @@ class Fits(NamedTuple):
     tangent: F64
     beta: F64
     inverse: F64
+    weights: F32
 
 
 def blank_fits(voxels: I64, start: I64, members: I32, status: int = OK) -> Fits:
@@ -61,6 +63,7 @@ def blank_fits(voxels: I64, start: I64, members: I32, status: int = OK) -> Fits:
         np.zeros((m, 3)),
         np.zeros((m, 6)),
         np.zeros((m, 6, 6)),
+        np.zeros(0, np.float32),
     )
 
 
@@ -181,12 +184,15 @@ class FitStore:
             )
 
     def with_inliers(self, voxels: I64, store: VoxelStore) -> Fits:
-        """The fits of all voxels, with the inliers of these ones listed."""
+        """The fits of all voxels, with the inliers of these ones and their weights listed."""
         start, used = np.zeros(len(self.fits.voxels), np.int64), self.fits.used[voxels]
         start[voxels] = np.cumsum(used) - used
         members = np.empty(int(used.sum()), np.int32)
         decode_inliers(voxels, self.first, self.held, self.entries, store.arrays, start, members)
-        return self.fits._replace(start=start, members=members)
+        fits = self.fits._replace(start=start, members=members)
+        weights = np.empty(len(members), np.float32)
+        weigh_inliers(voxels, start, fits.used, members, fits.normal, store.arrays, weights)
+        return fits._replace(weights=weights)
 
     def keep(self, found: Fits, fresh: Bool) -> tuple[Bool, I64]:
         """Take over fits; returns which of them are new (m,), by any number or any inlier, and how

@@ -270,7 +270,7 @@ def _sum_returns(
     axes[0], axes[1] = fits.normal[a], fits.tangent[a]
     second_tangent(fits.normal[a], fits.tangent[a], axes[2])
     for i in range(len(mine)):
-        slot, run = mine[i], runs.run[i]
+        slot, run, weight = mine[i], runs.run[i], fits.weights[fits.start[a] + i]
         polynomial_row(store.r, slot, fits.centre[a], fits.tangent[a], axes[2], p, x)
         beam = min(int(store.ring[slot]), mount.beams - 1)
         viewing_geometry(store.aux[slot], own)
@@ -282,9 +282,9 @@ def _sum_returns(
                 viewing_inliers(others[run], store.r[slot], other, axes[k], mount.shift, h)
             if k == 0:
                 for l in range(p):
-                    add_return(h, x[l], beam, mount.beams, cal[l], nav[run, l])
+                    add_return(h, weight * x[l], beam, mount.beams, cal[l], nav[run, l])
             else:
-                add_return(h, 1.0, beam, mount.beams, cal[p + k - 1], nav[run, p + k - 1])
+                add_return(h, weight, beam, mount.beams, cal[p + k - 1], nav[run, p + k - 1])
 
 
 @leaf_kernel
@@ -306,11 +306,12 @@ def residual(r: F64, slot: int, frame: F64, p: int, x: F64, beta: F64) -> Any:
 def mean_residuals(
     a: int, mine: I32, store: VoxelArrays, fits: Fits, p: int, run: I64, by_run: F32, by_beam: F32
 ) -> None:
-    """Mean residuals of the inliers of patch a: of each run, to by_run (runs,), and of each beam
+    """Weighted mean residuals of the inliers of patch a: of each run, to by_run (runs,), and of each beam
     less what the runs of its returns are off, to by_beam (beams,): what differs between the beams
     of one time, whatever differs between times. Zero for a beam without a return.
     """
     x, frame, above = np.zeros(6), np.empty((4, 3)), np.empty(len(mine))
+    weights = fits.weights[fits.start[a] : fits.start[a] + fits.used[a]]
     sums, counts = np.zeros(len(by_run)), np.zeros(len(by_run))
     of_beam, seen = np.zeros(len(by_beam)), np.zeros(len(by_beam))
     frame[0], frame[1], frame[2] = fits.centre[a], fits.normal[a], fits.tangent[a]
@@ -318,17 +319,17 @@ def mean_residuals(
     for i in range(len(mine)):
         polynomial_row(store.r, mine[i], frame[0], frame[2], frame[3], p, x)
         above[i] = residual(store.r, mine[i], frame, p, x, fits.beta[a])
-        sums[run[i]] += above[i]
-        counts[run[i]] += 1.0
+        sums[run[i]] += weights[i] * above[i]
+        counts[run[i]] += weights[i]
     for g in range(len(by_run)):
-        sums[g] /= max(counts[g], 1.0)
+        sums[g] /= counts[g] if counts[g] > 0.0 else 1.0
         by_run[g] = sums[g]
     for i in range(len(mine)):
         beam = min(int(store.ring[mine[i]]), len(by_beam) - 1)
-        of_beam[beam] += above[i] - sums[run[i]]
-        seen[beam] += 1.0
+        of_beam[beam] += weights[i] * (above[i] - sums[run[i]])
+        seen[beam] += weights[i]
     for k in range(len(by_beam)):
-        by_beam[k] = of_beam[k] / max(seen[k], 1.0)
+        by_beam[k] = of_beam[k] / seen[k] if seen[k] > 0.0 else 0.0
 
 
 @kernel
@@ -377,8 +378,8 @@ def sensitivities(
     out: SensitivityArrays,
 ) -> None:
     """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4)
-    per time bin: of beta, ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and
-    binormal, the mean of ``tangent·∂r_j/∂theta``.
+    per time bin: of beta, ``(XᵀWX)⁻¹ Σ_j w_j x_j n·∂r_j/∂theta``, and of the place along tangent
+    and binormal, the weighted mean of ``tangent·∂r_j/∂theta``.
 
     A patch with inliers in more bins than it has room for gets runs of bins instead: of each run
     one inlier is drawn, and all count as if they had been seen when that one was. A common shift

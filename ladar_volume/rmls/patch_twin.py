@@ -55,28 +55,48 @@ def arc(X: F64, beta: F64) -> tuple[F64, F64, F64]:
     return height(u, v) - X[:, 3:] @ beta[3:], beta[1] + gu, beta[2] + gv
 
 
-def least_squares(X: F64, w: F64) -> tuple[F64, F64]:
-    """``beta`` (p,) and ``(XᵀX)⁻¹`` (p, p) by QR."""
-    Q, R = np.linalg.qr(X)
+def thinning_weights(voxels: I64, stands: F64, normal: F64) -> F64:
+    """Weights (n,) of points in voxels (n, 3) of which each stands for so many (n,), by columns of
+    voxels along the axis nearest to the normal (see ``rmls/thinning_weights``).
+    """
+    across = np.delete(voxels, np.argmax(np.abs(normal)), axis=1)
+    weights = np.empty(len(voxels))
+    for column in np.unique(across, axis=0):
+        own = (across == column).all(axis=1)
+        weights[own] = stands[own] / stands[own].mean()
+    return weights
+
+
+def least_squares(X: F64, w: F64, weights: F64) -> tuple[F64, F64]:
+    """``beta`` (p,) and ``(XᵀWX)⁻¹`` (p, p) by QR."""
+    root = np.sqrt(weights)
+    Q, R = np.linalg.qr(root[:, None] * X)
     back = np.linalg.inv(R)
-    return back @ (Q.T @ w), back @ back.T
+    return back @ (Q.T @ (root * w)), back @ back.T
+
+
+def solution(X: F64, weights: F64) -> F64:
+    """``(XᵀWX)⁻¹ XᵀW`` (p, n)."""
+    root = np.sqrt(weights)
+    out: F64 = np.linalg.pinv(root[:, None] * X) * root
+    return out
 
 
 def shared_covariance(
-    X_a: F64, X_b: F64, normal_a: F64, normal_b: F64, ids_a: I64, ids_b: I64, C_ind: F64
+    solutions: tuple[F64, F64], normals: tuple[F64, F64], ids: tuple[I64, I64], C_ind: F64
 ) -> F64:
-    """``C_ab`` (p, p) m² of two patches with inliers ``ids`` into C_ind (n, 6) packed m²
-    (UNCERTAINTY step 3).
+    """``C_ab`` (p, p) m² of two patches by their :func:`solution`, with inliers ``ids`` into C_ind
+    (n, 6) packed m² (UNCERTAINTY step 3).
     """
-    _, at_a, at_b = np.intersect1d(ids_a, ids_b, return_indices=True)
-    variance = np.einsum("i,nij,j->n", normal_a, unpack(C_ind[ids_a[at_a]]), normal_b)
-    left, right = np.linalg.pinv(X_a)[:, at_a], np.linalg.pinv(X_b)[:, at_b]
-    out: F64 = (left * variance) @ right.T
+    _, at_a, at_b = np.intersect1d(*ids, return_indices=True)
+    variance = np.einsum("i,nij,j->n", normals[0], unpack(C_ind[ids[0][at_a]]), normals[1])
+    out: F64 = (solutions[0][:, at_a] * variance) @ solutions[1][:, at_b].T
     return out
 
 
 def mean_sensitivities(
     X: F64,
+    weights: F64,
     normal: F64,
     tangent: F64,
     points: MappedPoints,
@@ -86,11 +106,11 @@ def mean_sensitivities(
     bin_ns: int,
 ) -> tuple[F64, I64, F64]:
     """``M_cal`` (p + 2, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p + 2, 4) of one patch with
-    inliers ``points`` (UNCERTAINTY step 4).
+    inliers ``points`` of these weights (UNCERTAINTY step 4).
     """
     geometry = point_geometry(points, states, calibration)
-    weights, mean = np.linalg.pinv(X), np.full((1, len(X)), 1.0 / len(X))
-    axes = ((normal, weights), (tangent, mean), (np.cross(normal, tangent), mean))
+    solved, mean = solution(X, weights), (weights / weights.sum())[None, :]
+    axes = ((normal, solved), (tangent, mean), (np.cross(normal, tangent), mean))
     cal, nav = (
         full_calibration_jacobian(geometry, points.ring, beams),
         navigation_jacobian(geometry),

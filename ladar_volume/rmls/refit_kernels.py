@@ -29,6 +29,7 @@ from ladar_volume.rmls.tangent_frame import (
     refit,
     tangent_of,
 )
+from ladar_volume.rmls.thinning_weights import Thinning, steepest_axis, thinning_of
 from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
 from ladar_volume.rmls.voxel_store import VoxelArrays, voxels_around
 
@@ -144,18 +145,24 @@ def _start_plane(
 
 @kernel
 def _refit_surface(
-    near: Near, m: int, sigma: float, threshold: float, rule: FitRule, terms: Terms
+    near: Near,
+    m: int,
+    sigma: float,
+    threshold: float,
+    rule: FitRule,
+    thinning: Thinning,
+    terms: Terms,
 ) -> tuple[int, float]:
     """Least squares from the points marked inside; too few or too one-sided points for a quadric:
     the plane stands, its quadratic terms are zero with certainty. Returns (inliers, sigma).
     """
     refitting = refit_rule(rule)
-    used, s = refit(near.uvw, m, rule.p, sigma, refitting, near.inside, terms)
+    used, s = refit(near, m, rule.p, sigma, refitting, thinning, terms)
     if used < rule.min_points and rule.p == 6:
         mark_flat(near.uvw, m, threshold, near.inside)
         terms.beta[:] = 0.0
         terms.inverse[:] = 0.0
-        used, s = refit(near.uvw, m, 3, sigma, refitting, near.inside, terms)
+        used, s = refit(near, m, 3, sigma, refitting, thinning, terms)
     return used, s
 
 
@@ -199,7 +206,9 @@ def _fit_one(
     _face_sensor(slots, around.slots, m, around.inside, store.aux, normal, tangent)
     m = frame_coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
     terms = Terms(fits.beta[a], fits.inverse[a])
-    used, s = _refit_surface(around, m, sigma, threshold, rule, terms)
+    axis = steepest_axis(normal)
+    thinning = thinning_of(slots, around.slots, m, store, store.keys[voxel], axis)
+    used, s = _refit_surface(around, m, sigma, threshold, rule, thinning, terms)
     if used < rule.min_points:
         return FEW_INLIERS, used, s
     own = _inliers_first(slots, around, m, store.cap, voxel)

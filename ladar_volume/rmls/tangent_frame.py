@@ -11,6 +11,7 @@ import numpy as np
 from ladar_volume.math.array_types import F64, I64, Bool
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
+from ladar_volume.rmls.thinning_weights import Thinning, balance, unthinned
 
 #: Square of the slope from which the arc term no longer grows.
 STEEPEST = 0.9
@@ -171,37 +172,41 @@ def _straighten(uvw: F64, m: int, b: F64, ball: float, straight: F64) -> None:
 
 
 @leaf_kernel
-def _normal_plane(uvw: F64, m: int, inside: Bool, A: F64, b: F64) -> None:
+def _normal_plane(near: Near, m: int, weight: F64, A: F64, b: F64) -> None:
     a00 = a10 = a20 = a11 = a21 = a22 = b0 = b1 = b2 = 0.0
+    uvw, inside = near.uvw, near.inside
     for i in range(m):
         if inside[i]:
-            u, v, w = uvw[0, i], uvw[1, i], uvw[2, i]
-            a00 += 1.0
-            a10 += u
-            a20 += v
-            a11 += u * u
-            a21 += v * u
-            a22 += v * v
-            b0 += w
-            b1 += u * w
-            b2 += v * w
+            u, v, w, g = uvw[0, i], uvw[1, i], uvw[2, i], weight[i]
+            gu, gv = g * u, g * v
+            a00 += g
+            a10 += gu
+            a20 += gv
+            a11 += gu * u
+            a21 += gv * u
+            a22 += gv * v
+            b0 += g * w
+            b1 += gu * w
+            b2 += gv * w
     A[0, 0], A[1, 0], A[2, 0], A[1, 1], A[2, 1], A[2, 2] = a00, a10, a20, a11, a21, a22
     b[0], b[1], b[2] = b0, b1, b2
 
 
 @leaf_kernel
-def _normal_quadric(uvw: F64, straight: F64, m: int, inside: Bool, A: F64, b: F64) -> None:
+def _normal_quadric(near: Near, straight: F64, m: int, weight: F64, A: F64, b: F64) -> None:
     # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15
     # different sums
     c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u4 = u3v = u2v2 = uv3 = v4 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
+    uvw, inside = near.uvw, near.inside
     for i in range(m):
         if inside[i]:
-            u, v, w = uvw[0, i], uvw[1, i], straight[i]
-            uu, q, vv = u * u, u * v, v * v
-            c += 1.0
-            u1 += u
-            v1 += v
+            u, v, w, g = uvw[0, i], uvw[1, i], straight[i], weight[i]
+            gu, gv = g * u, g * v
+            uu, q, vv = gu * u, gu * v, gv * v
+            c += g
+            u1 += gu
+            v1 += gv
             u2 += uu
             uv += q
             v2 += vv
@@ -209,14 +214,14 @@ def _normal_quadric(uvw: F64, straight: F64, m: int, inside: Bool, A: F64, b: F6
             u2v += uu * v
             uv2 += u * vv
             v3 += vv * v
-            u4 += uu * uu
-            u3v += uu * q
-            u2v2 += uu * vv
-            uv3 += q * vv
-            v4 += vv * vv
-            b0 += w
-            b1 += u * w
-            b2 += v * w
+            u4 += uu * (u * u)
+            u3v += uu * (u * v)
+            u2v2 += uu * (v * v)
+            uv3 += q * (v * v)
+            v4 += vv * (v * v)
+            b0 += g * w
+            b1 += gu * w
+            b2 += gv * w
             b3 += uu * w
             b4 += q * w
             b5 += vv * w
@@ -261,19 +266,25 @@ def _off_plane(uvw: F64, m: int, b: F64, off: F64) -> None:
 
 
 @leaf_kernel
-def _classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, float, bool]:
-    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
-    residuals, any change).
-    """
-    used, square, changed = 0, 0.0, False
+def _classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, bool]:
+    """Mark the points within ``threshold`` of the model; returns (how many, any change)."""
+    used, changed = 0, False
     for i in range(m):
         near = off[i] <= threshold
-        if near:
-            square += off[i] * off[i]
-            used += 1
+        used += near
         changed |= near != inside[i]
         inside[i] = near
-    return used, square, changed
+    return used, changed
+
+
+@leaf_kernel
+def _square(off: F64, m: int, inside: Bool, weight: F64) -> float:
+    """Weighted sum of the squared residuals of the points marked inside."""
+    square = 0.0
+    for i in range(m):
+        if inside[i]:
+            square += weight[i] * (off[i] * off[i])
+    return square
 
 
 @kernel
@@ -312,16 +323,17 @@ def _to_metres(p: int, b: F64, ball: float, terms: Terms) -> None:
 
 @kernel
 def refit(
-    uvw: F64, m: int, p: int, sigma: float, rule: RefitRule, inside: Bool, terms: Terms
+    near: Near, m: int, p: int, sigma: float, rule: RefitRule, thinning: Thinning, terms: Terms
 ) -> tuple[int, float]:
-    """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
-    start.
+    """Least squares on the inliers, weighted by what each stands for, iterated until they stay the
+    same. ``near.inside`` (m,) holds the start.
 
     u and v are scaled by the ball's radius inside, so the pivots mean the same at every scale;
-    ``beta`` and ``inverse`` = (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0
+    ``beta`` and ``inverse`` = (XᵀWX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0
     inliers where the terms are not determined.
     """
     ball, A, b, right = rule.ball, np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    uvw, inside, weight = near.uvw, near.inside, thinning.weight
     residuals = Residuals(np.empty(m), np.empty(m))
     straight, used, shift = residuals.straight, 0, 0.0
     for step in range(rule.iterations + 1):
@@ -333,17 +345,20 @@ def refit(
                 _off_quadric(uvw, residuals, m, b, ball, threshold)
             else:
                 _off_plane(uvw, m, b, residuals.off)
-            used, square, changed = _classify(residuals.off, m, threshold, inside)
+            used, changed = _classify(residuals.off, m, threshold, inside)
             if used <= p:
                 return 0, sigma
-            sigma = np.sqrt(square / (used - p))
+            balance(thinning, m, inside)
+            sigma = np.sqrt(_square(residuals.off, m, inside, weight) / (used - p))
             if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
+        else:
+            balance(thinning, m, inside)
         if p == 6:
             _straighten(uvw, m, b, ball, straight)
-            _normal_quadric(uvw, straight, m, inside, A, right)
+            _normal_quadric(near, straight, m, weight, A, right)
         else:
-            _normal_plane(uvw, m, inside, A, right)
+            _normal_plane(near, m, weight, A, right)
         shift = _solve(p, A, right, terms.inverse, b)
         if shift < 0.0:
             return 0, sigma
@@ -406,7 +421,7 @@ def level_frame(
         tangent_of(normal, tangent)
         m = frame_coordinates(r, n, centre, normal, tangent, ball, uvw, near.slots)
         mark_flat(uvw, m, max(rule.sigmas * sigma, rule.floor, 0.5e-7 * ball), inside)
-        used, sigma = refit(uvw, m, 3, sigma, rule, inside, terms)
+        used, sigma = refit(near, m, 3, sigma, rule, unthinned(m), terms)
         if used == 0:
             return -1.0
         _lay_on_plane(origin, beta, frame)

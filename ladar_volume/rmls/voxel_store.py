@@ -27,7 +27,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 class VoxelArrays(NamedTuple):
     """What kernels read of a store: keys (used,) and hash table of the voxels, points in each, and
-    by slot their order and what is kept of a point (see :class:`VoxelStore`).
+    by slot their order, what is kept of a point (see :class:`VoxelStore`) and its hash.
     """
 
     keys: I64
@@ -39,6 +39,7 @@ class VoxelArrays(NamedTuple):
     r: F64
     C: F32
     aux: I16
+    hashes: U64
     cap: int
 
 
@@ -252,6 +253,7 @@ class VoxelStore:
             self.r,
             self.C,
             self.aux,
+            self.hashes,
             self.cap,
         )
 

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import MappedPoints, select
+from ladar_volume.rmls.patch_fit import OK
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 
 ORIENTATIONS = [
@@ -153,3 +154,28 @@ def test_points_in_a_gap_of_the_platform_are_counted(scene):
     between = (points.t_ns > 4 * scene.SECOND) & (points.t_ns < 5 * scene.SECOND)
     assert f.losses["point_platform_gap"] == between.sum() > 0
     assert f.stats["points_offered"] == 1000 - between.sum()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("height", [-0.04, -0.02, 0.01, 0.03])
+def test_rough_ground_along_a_border_of_voxels_is_not_drawn_over_it(scene, axis, height):
+    """Of two layers of full voxels each holds as many points, however few lie beyond the border:
+    unweighted ones would lift this plane by 4 to 10 mm.
+    """
+    rng = np.random.default_rng(7)
+    plane, rough = scene.sheet(8000, half=2.0), 0.02
+    r = np.insert(plane, axis, height + rough * rng.normal(size=len(plane)), axis=1)
+    f, update = scene.filtered(scene.mapped(r, variance=rough**2))
+    inner = (np.abs(np.delete(update.points.r_map, axis, axis=1)) < 1.5).all(axis=1)
+    off = update.points.r_map[inner, axis] - height
+    assert inner.sum() > 200 and f.store.kept_count < 0.6 * len(r)
+    assert abs(off.mean()) < 0.0015
+
+
+def test_a_column_of_voxels_counts_as_before_whatever_it_was_offered(scene):
+    """Dense places beside sparse ones gain no weight: only the layers of a column are balanced."""
+    dense, sparse = scene.sheet(6000, half=0.75), scene.sheet(2000, half=2.5, seed=3)
+    r = np.insert(np.concatenate([dense, sparse]), 2, 0.2, axis=1)
+    f, _ = scene.filtered(scene.mapped(r))
+    weights = f.fits.with_inliers(np.flatnonzero(f.fits.fits.status == OK), f.store).weights
+    assert len(weights) > 1000 and (weights == 1.0).all()

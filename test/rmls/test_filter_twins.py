@@ -29,7 +29,12 @@ def fitted(scene, request):
     f = SurfaceFilter(
         Parameters.read(
             {
-                "filter": {"radius_m": 0.5, "degree": request.param, "nav_bin_s": 2.0},
+                "filter": {
+                    "radius_m": 0.5,
+                    "degree": request.param,
+                    "nav_bin_s": 2.0,
+                    "cap_per_voxel": 20,
+                },
                 "calibration": {
                     "boresight_pitch_deg": 25.0,
                     "lever_laser_m": [0.1, -0.2, 0.3],
@@ -58,6 +63,34 @@ def rows(f, update, slots, j, degree):
     )
 
 
+def stands_for(store, slot):
+    """How many of the points offered to its voxel a held point stands for, by its highest hash."""
+    v = slot // store.cap
+    if store.count[v] < store.cap:
+        return 1.0
+    share = int(store.hashes[v * store.cap : (v + 1) * store.cap].max()) / 2**64
+    return max(1.0, (store.cap - 1) / store.cap / share)
+
+
+def weights_of(f, update, slots, j):
+    own, s = slots[int(update.patches.key[j])], f.store
+    stands = np.array([stands_for(s, slot) for slot in own])
+    voxels = np.floor(s.r[own] / s.edge_m).astype(int)
+    return patch_twin.thinning_weights(voxels, stands, update.patches.normal[j])
+
+
+def solution_of(f, update, slots, j, degree):
+    X, _ = rows(f, update, slots, j, degree)
+    return patch_twin.solution(X, weights_of(f, update, slots, j))
+
+
+def test_voxels_hold_what_they_were_offered_in_part(fitted):
+    """Else the weights that the tests below compare would all be one."""
+    f, update, slots, _, _ = fitted
+    weights = np.concatenate([weights_of(f, update, slots, j) for j in range(len(update.patches))])
+    assert weights.mean() == pytest.approx(1.0) and weights.min() < 0.8 and weights.max() > 1.2
+
+
 def test_refit_is_least_squares_on_the_inliers(fitted):
     f, update, slots, _, degree = fitted
     p = update.patches
@@ -69,7 +102,8 @@ def test_refit_is_least_squares_on_the_inliers(fitted):
             p.beta[j]
         )  # a neighbourhood that does not determine a quadric got a plane
         extra, gu, gv = patch_twin.arc(X, p.beta[j])
-        beta, inverse = patch_twin.least_squares(X[:, :columns], w - extra)
+        weights = weights_of(f, update, slots, j)
+        beta, inverse = patch_twin.least_squares(X[:, :columns], w - extra, weights)
         # the arc term follows the quadratic terms: it has settled to a thousandth of sigma, all
         # else is exact
         assert (
@@ -78,7 +112,7 @@ def test_refit_is_least_squares_on_the_inliers(fitted):
         ).all()
         residual = (w - extra - X @ p.beta[j]) / np.sqrt(1 + gu**2 + gv**2)
         assert p.sigma[j] == pytest.approx(
-            np.sqrt(residual @ residual / (len(w) - columns)), rel=2e-3
+            np.sqrt(weights @ residual**2 / (len(w) - columns)), rel=2e-3
         )
         assert np.abs(residual).max() <= 3.5 * p.sigma[j] * (1 + 2e-3)  # a fixed point
         assert p.normal[j] @ p.tangent[j] == pytest.approx(0, abs=1e-12)
@@ -118,12 +152,14 @@ def test_cross_blocks_of_every_pair_that_shares_points(fitted):
             k for k in at if k >= p.key[a] and np.intersect1d(slots[int(p.key[a])], slots[k]).size
         }
         assert set(stored) == sharing
-        X_a, _ = rows(f, update, slots, a, degree)
+        solved = solution_of(f, update, slots, a, degree)
         for key, block in stored.items():
             b = at[key]
-            X_b, _ = rows(f, update, slots, b, degree)
             C = patch_twin.shared_covariance(
-                X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f.store.C
+                (solved, solution_of(f, update, slots, b, degree)),
+                (p.normal[a], p.normal[b]),
+                (slots[int(p.key[a])], slots[key]),
+                f.store.C,
             )
             scale = np.sqrt(
                 np.outer(np.diag(p.cross[p.cross_start[a]]), np.diag(p.cross[p.cross_start[b]]))
@@ -155,8 +191,10 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
                 }
             }
         ).calibration
+        weights = weights_of(f, update, slots, j)
         M_cal, bins, M_nav = patch_twin.mean_sensitivities(
             X,
+            weights,
             p.normal[j],
             p.tangent[j],
             points,
@@ -169,7 +207,10 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
         assert np.array_equal(bins, p.nav_bin[nav])
         # the geometry of each return is kept in 16 bits (see ``geometry``); means of many err by
         # less
-        scale = np.append(np.abs(np.linalg.pinv(X)).sum(axis=1), [1.0, 1.0])[:, None] * 20.0
+        scale = (
+            np.append(np.abs(patch_twin.solution(X, weights)).sum(axis=1), [1.0, 1.0])[:, None]
+            * 20.0
+        )
         assert (np.abs(M_cal - p.M_cal[j]) < 1e-5 * scale).all()
         assert (np.abs(M_nav - p.M_nav[nav])[..., 1:] < 1e-5 * scale).all()
         assert (
@@ -185,13 +226,14 @@ def test_residuals_of_bins_and_of_beams_within_them(fitted):
         X, w = rows(f, update, slots, j, degree)
         above = w - X @ p.beta[j] - patch_twin.arc(X, p.beta[j])[0]
         at = s.t_ns[inliers] // 2_000_000_000
-        by_bin = {b: above[at == b].mean() for b in np.unique(at)}
+        weights = weights_of(f, update, slots, j)
+        by_bin = {b: np.average(above[at == b], weights=weights[at == b]) for b in np.unique(at)}
         nav = slice(p.nav_start[j], p.nav_start[j + 1])
         assert p.nav_residual[nav] == pytest.approx([by_bin[b] for b in p.nav_bin[nav]], abs=1e-7)
         left = above - np.array([by_bin[b] for b in at])
         for beam in range(f.builder.beams):
-            own = left[s.ring[inliers] == beam]
-            mean = own.mean() if len(own) else 0.0
+            own = s.ring[inliers] == beam
+            mean = np.average(left[own], weights=weights[own]) if own.any() else 0.0
             assert p.beam_residual[j, beam] == pytest.approx(mean, abs=1e-7)
 
 

@@ -51,7 +51,8 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
         )
         patch_sensitivity.draw_per_run(run, most, u[j], drawn)
         X, _ = patch_twin.design(s.r[inliers], few.centre[j], few.normal[j], few.tangent[j], 1)
-        weights, mean = np.linalg.pinv(X), np.full((1, len(X)), 1.0 / len(X))
+        weights = fits.weights[fits.start[rows[j]] :][: fits.used[rows[j]]].astype(float)
+        solved, mean = patch_twin.solution(X, weights), (weights / weights.sum())[None, :]
         for g in range(most):
             own, d = run == g, drawn[g]
             seen = few.nav_start[j] + g
@@ -63,7 +64,7 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
             )  # of a mount without lever arms
             for k, (axis, w) in enumerate(
                 (
-                    (few.normal[j], weights),
+                    (few.normal[j], solved),
                     (few.tangent[j], mean),
                     (np.cross(few.normal[j], few.tangent[j]), mean),
                 )

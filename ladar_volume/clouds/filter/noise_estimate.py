@@ -23,6 +23,7 @@ from ladar_volume.rmls.tangent_frame import (
     mark_flat,
     refit,
 )
+from ladar_volume.rmls.thinning_weights import unthinned
 
 #: Random planes per neighbourhood; refits towards the fixed point.
 TRIALS, REFITS = 60, 20
@@ -99,7 +100,7 @@ def _scatter_of(s: int, r: F64, near: I64, seed: int) -> Any:
         return flat
     mark_flat(hood.uvw, m, SIGMAS * flat, hood.inside)
     wide, terms = RefitRule(2.0 * ball, SIGMAS, 0.0, REFITS), Terms(np.zeros(6), np.empty((6, 6)))
-    used, curved = refit(hood.uvw, m, 6, flat, wide, hood.inside, terms)
+    used, curved = refit(hood, m, 6, flat, wide, unthinned(m), terms)
     return curved if used > m // 2 else flat
 
 

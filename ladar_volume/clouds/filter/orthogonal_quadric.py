@@ -25,6 +25,7 @@ from ladar_volume.rmls.tangent_frame import (
     refit,
     second_tangent,
 )
+from ladar_volume.rmls.thinning_weights import unthinned
 
 #: Re-levellings of a quadric's frame.
 LEVELS = 3
@@ -201,7 +202,7 @@ def quadric_from(
         return 0
     m = frame_coordinates(pts, n, centre, normal, tangent, rule.ball, near, index)
     mark_flat(near, m, start_m, inside)
-    used, _ = refit(near, m, 6, rule.sigma, refitting, inside, Terms(beta, inverse))
+    used, _ = refit(hood, m, 6, rule.sigma, refitting, unthinned(m), Terms(beta, inverse))
     if used == 0:
         return 0
     return shrink_to_threshold(pts, n, start_m, rule, levels, quadric)

@@ -30,6 +30,7 @@ from ladar_volume.rmls.tangent_frame import (
     refit,
     tangent_of,
 )
+from ladar_volume.rmls.thinning_weights import unthinned
 
 #: Rounds of laying the frame at the foot point.
 LEVELS = 3
@@ -66,13 +67,13 @@ def refit_quadric(
     for i in range(n):
         inside[i] = distances[i] <= limit
     beta[:] = 0.0
-    used, new = refit(uvw, n, 6, sigma, refitting, inside, terms)
+    used, new = refit(near, n, 6, sigma, refitting, unthinned(n), terms)
     if used >= rule.min_points:
         return used, new, True
     beta[:] = 0.0
     terms.inverse[:] = 0.0
     mark_flat(uvw, n, limit, inside)
-    used, new = refit(uvw, n, 3, sigma, refitting, inside, terms)
+    used, new = refit(near, n, 3, sigma, refitting, unthinned(n), terms)
     return (used if used >= rule.min_points else 0), new, False
 
 
