@@ -1,7 +1,8 @@
 """Cross covariance blocks of patches that share raw points (UNCERTAINTY step 3).
 
-``C_ab = (X_aᵀW_aX_a)⁻¹ (Σ_{j in a and b} w_j^a x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ w_j^b) (X_bᵀW_bX_b)⁻¹``,
-stored once with key_b >= key_a. W: what each return stands for (``thinning_weights``).
+``C_ab = N_a⁻¹ (Σ_{j in a and b} w_j^a x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ w_j^b) N_b⁻¹`` with
+``N = XᵀWX``, stored once with key_b >= key_a. W: what each return stands for
+(``thinning_weights``).
 """
 
 from __future__ import annotations
@@ -227,9 +228,9 @@ def _sandwich(left: F64, S: F64, right: F64, p: int, out: F32) -> None:
 def _shared_products(
     a: int, b: int, swap: bool, store: VoxelArrays, fits: Fits, p: int, marks: Marks, work: Work
 ) -> Any:
-    """Of each inlier that patch b shares with a: weighted ``n_aᵀ C n_b`` times its row on the one patch to
-    G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with ``swap``
-    that on b: the same numbers as from the other patch's side.
+    """Of each inlier that patch b shares with a: ``w_a n_aᵀ C n_b w_b`` times its row on the one
+    patch to G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with
+    ``swap`` that on b: the same numbers as from the other patch's side.
     """
     side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), fits.normal[a], fits.normal[b]
     centre, tangent, r = fits.centre, fits.tangent, store.r

@@ -306,9 +306,9 @@ def residual(r: F64, slot: int, frame: F64, p: int, x: F64, beta: F64) -> Any:
 def mean_residuals(
     a: int, mine: I32, store: VoxelArrays, fits: Fits, p: int, run: I64, by_run: F32, by_beam: F32
 ) -> None:
-    """Weighted mean residuals of the inliers of patch a: of each run, to by_run (runs,), and of each beam
-    less what the runs of its returns are off, to by_beam (beams,): what differs between the beams
-    of one time, whatever differs between times. Zero for a beam without a return.
+    """Weighted mean residuals of the inliers of patch a: of each run, to by_run (runs,), and of
+    each beam less what the runs of its returns are off, to by_beam (beams,): what differs between
+    the beams of one time, whatever differs between times. Zero for a beam without a return.
     """
     x, frame, above = np.zeros(6), np.empty((4, 3)), np.empty(len(mine))
     weights = fits.weights[fits.start[a] : fits.start[a] + fits.used[a]]

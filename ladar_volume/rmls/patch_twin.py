@@ -60,16 +60,16 @@ def thinning_weights(voxels: I64, stands: F64, normal: F64) -> F64:
     voxels along the axis nearest to the normal (see ``rmls/thinning_weights``).
     """
     across = np.delete(voxels, np.argmax(np.abs(normal)), axis=1)
-    weights = np.empty(len(voxels))
+    weights: F64 = np.ones(len(voxels))
     for column in np.unique(across, axis=0):
         own = (across == column).all(axis=1)
-        weights[own] = stands[own] / stands[own].mean()
+        weights[own] = stands[own] / float(stands[own].mean())
     return weights
 
 
 def least_squares(X: F64, w: F64, weights: F64) -> tuple[F64, F64]:
     """``beta`` (p,) and ``(XᵀWX)⁻¹`` (p, p) by QR."""
-    root = np.sqrt(weights)
+    root: F64 = np.sqrt(weights)
     Q, R = np.linalg.qr(root[:, None] * X)
     back = np.linalg.inv(R)
     return back @ (Q.T @ (root * w)), back @ back.T
@@ -77,7 +77,7 @@ def least_squares(X: F64, w: F64, weights: F64) -> tuple[F64, F64]:
 
 def solution(X: F64, weights: F64) -> F64:
     """``(XᵀWX)⁻¹ XᵀW`` (p, n)."""
-    root = np.sqrt(weights)
+    root: F64 = np.sqrt(weights)
     out: F64 = np.linalg.pinv(root[:, None] * X) * root
     return out
 
