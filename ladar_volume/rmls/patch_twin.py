@@ -97,8 +97,7 @@ def shared_covariance(
 def mean_sensitivities(
     X: F64,
     weights: F64,
-    normal: F64,
-    tangent: F64,
+    frame: tuple[F64, F64],
     points: MappedPoints,
     states: PlatformStates,
     calibration: CalibrationParameters,
@@ -106,8 +105,9 @@ def mean_sensitivities(
     bin_ns: int,
 ) -> tuple[F64, I64, F64]:
     """``M_cal`` (p + 2, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p + 2, 4) of one patch with
-    inliers ``points`` of these weights (UNCERTAINTY step 4).
+    inliers ``points`` of these weights (UNCERTAINTY step 4). frame : its normal and tangent
     """
+    normal, tangent = frame
     geometry = point_geometry(points, states, calibration)
     solved, mean = solution(X, weights), (weights / weights.sum())[None, :]
     axes = ((normal, solved), (tangent, mean), (np.cross(normal, tangent), mean))

@@ -266,6 +266,17 @@ def _off_plane(uvw: F64, m: int, b: F64, off: F64) -> None:
 
 
 @leaf_kernel
+def _distances(
+    uvw: F64, residuals: Residuals, m: int, p: int, b: F64, ball: float, threshold: float
+) -> None:
+    """Residuals of a quadric, p = 6, or a plane."""
+    if p == 6:
+        _off_quadric(uvw, residuals, m, b, ball, threshold)
+    else:
+        _off_plane(uvw, m, b, residuals.off)
+
+
+@leaf_kernel
 def _classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, bool]:
     """Mark the points within ``threshold`` of the model; returns (how many, any change)."""
     used, changed = 0, False
@@ -333,7 +344,7 @@ def refit(
     inliers where the terms are not determined.
     """
     ball, A, b, right = rule.ball, np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    uvw, inside, weight = near.uvw, near.inside, thinning.weight
+    inside, weight = near.inside, thinning.weight
     residuals = Residuals(np.empty(m), np.empty(m))
     straight, used, shift = residuals.straight, 0, 0.0
     for step in range(rule.iterations + 1):
@@ -341,10 +352,7 @@ def refit(
             # noise-free input: from the second step on above the rounding of coordinates
             rounding = 1e-7 * ball if step > 1 else 0.0
             threshold = max(rule.sigmas * sigma, rule.floor, rounding)
-            if p == 6:
-                _off_quadric(uvw, residuals, m, b, ball, threshold)
-            else:
-                _off_plane(uvw, m, b, residuals.off)
+            _distances(near.uvw, residuals, m, p, b, ball, threshold)
             used, changed = _classify(residuals.off, m, threshold, inside)
             if used <= p:
                 return 0, sigma
@@ -355,7 +363,7 @@ def refit(
         else:
             balance(thinning, m, inside)
         if p == 6:
-            _straighten(uvw, m, b, ball, straight)
+            _straighten(near.uvw, m, b, ball, straight)
             _normal_quadric(near, straight, m, weight, A, right)
         else:
             _normal_plane(near, m, weight, A, right)

@@ -195,8 +195,7 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
         M_cal, bins, M_nav = patch_twin.mean_sensitivities(
             X,
             weights,
-            p.normal[j],
-            p.tangent[j],
+            (p.normal[j], p.tangent[j]),
             points,
             states,
             calibration,
