@@ -108,17 +108,23 @@ def gap_rows(head: Table, result: Mapping[str, Any]) -> None:
 
 
 def object_rows(head: Table, result: Mapping[str, Any]) -> None:
-    """What stands in the outline and is not counted, as a row of a table of two columns."""
-    counted = [one for one in result["objects"] if one["inside"]]
-    if not counted:
-        return
-    one = counted[0]
-    words = (
-        f"{sum(one['volume_m3'] for one in counted):.3g} m³ on the surface; the largest, "
-        f"{one['size_m']:.2g} m wide, {one['high_m']:.2g} m high, at {one['x_m']:.1f}, "
-        f"{one['y_m']:.1f} m"
-    )
-    head.add_row("not counted", words)
+    """What stands in the outline and beside it and is not counted, as rows of a table of two
+    columns.
+    """
+    for inside, name, where in (
+        (True, "not counted", "on the surface"),
+        (False, "beside it", "stand beside what counts"),
+    ):
+        own = [one for one in result["objects"] if one["inside"] == inside]
+        if not own:
+            continue
+        one = own[0]
+        words = (
+            f"{sum(one['volume_m3'] for one in own):.3g} m³ {where}; the largest, "
+            f"{one['size_m']:.2g} m wide, {one['high_m']:.2g} m high, at {one['x_m']:.1f}, "
+            f"{one['y_m']:.1f} m"
+        )
+        head.add_row(name, words)
 
 
 def volume_rows(head: Table, result: Mapping[str, Any]) -> None:

@@ -12,6 +12,9 @@ from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.model.records import F64, StandingObject
 from ladar_volume.model.verdict import Doubt
 
+#: Things beside the body that are this share of it may be heaps.
+LARGE = 0.2
+
 
 def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, ...]:
     """What was taken out where triangles of area inside (m,) m² count, or beside them."""
@@ -27,10 +30,13 @@ def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, 
     return tuple(out)
 
 
-def beside_doubts(surface: CloudSurface, inside: F64, least_m3: float) -> list[Doubt]:
+def beside_doubts(
+    surface: CloudSurface, inside: F64, least_m3: float, volume_m3: float
+) -> list[Doubt]:
     """What stands beside an outline, inside (m,) m² of each triangle, and is as large as a further
-    body, is not in the volume: an upright heap looks like a machine.
+    body and a good part of the volume, is not in it: an upright heap looks like a machine.
     """
+    least_m3 = max(least_m3, LARGE * abs(volume_m3))
     own = {(one.x_m, one.y_m) for one in objects_within(surface, inside)}
     away = [
         one
