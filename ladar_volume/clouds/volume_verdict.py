@@ -342,8 +342,7 @@ def volume_with_verdict(
         faces = faces_around(surface, base, inside, rise)
     if by_body:
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
-        least = max(least, found.sigma_m3)
-        doubts += below_base(found) + beside_doubts(surface, inside, least, found.net_m3)
+        doubts += below_base(found) + beside_doubts(surface, inside, (least, found.net_m3))
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     found = with_readings(found, readings)
     if readings is not None:

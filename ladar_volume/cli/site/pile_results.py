@@ -140,7 +140,7 @@ def pile_volumes(
         return found
     inside = np.sum([pile.inside_m2 for pile in found.piles], axis=0)
     least, size = parameters.volume.min_body_m3, min(p.volume.net_m3 for p in found.piles)
-    beside = beside_doubts(surfaces[0], inside, least, size)
+    beside = beside_doubts(surfaces[0], inside, (least, size))
     return dataclasses.replace(found, verdict=found.verdict + Verdict(tuple(beside)))
 
 

@@ -30,13 +30,12 @@ def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, 
     return tuple(out)
 
 
-def beside_doubts(
-    surface: CloudSurface, inside: F64, least_m3: float, volume_m3: float
-) -> list[Doubt]:
+def beside_doubts(surface: CloudSurface, inside: F64, sizes_m3: tuple[float, float]) -> list[Doubt]:
     """What stands beside an outline, inside (m,) m² of each triangle, and is as large as a further
-    body and a good part of the volume, is not in it: an upright heap looks like a machine.
+    body and a good part of the volume, is not in it: an upright heap looks like a machine. sizes_m3
+    : of the least further body, and of what counts
     """
-    least_m3 = max(least_m3, LARGE * abs(volume_m3))
+    least_m3 = max(sizes_m3[0], LARGE * abs(sizes_m3[1]))
     own = {(one.x_m, one.y_m) for one in objects_within(surface, inside)}
     away = [
         one
