@@ -95,3 +95,12 @@ def test_differences_of_time_scales_are_known(apart_s, words):
 def test_a_clock_of_another_time_scale_is_named_as_that():
     (words,) = clock_words(*leads(18.0, 0.0))
     assert "(GPS time is 18 s ahead of UTC)" in words
+
+
+def test_clocks_that_have_nothing_in_common_get_no_advice():
+    assert clock_words(*leads(1.0e6, 0.0)) == [] and clock_words(*leads(0.0, -3600.0)) == []
+
+
+def test_fixes_that_come_early_are_newer():
+    (words,) = clock_words(*leads(0.0, -0.5))
+    assert words.startswith("fixes are 0.50 s newer than attitudes")

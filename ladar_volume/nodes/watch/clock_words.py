@@ -10,6 +10,9 @@ from ladar_volume.georeference.turn_check import TurnLag
 
 #: Stamps that agree within this, or three sigma, are of clocks that agree, s.
 SAME_S = 0.02
+#: Stamps of two inputs further apart than this are of two clocks, s: no message is so late, and no
+#: offset is to be declared.
+APART_S = 60.0
 #: Differences of time scales, s (leap seconds as of 2017 on), and how near a difference must be.
 STEPS = {
     18.0: "GPS time is 18 s ahead of UTC",
@@ -69,9 +72,10 @@ def clock_words(
         return [_imu_or_late(clouds[0])]
     else:
         out = _by_arrival(cloud)
-    if fix.state in ("offset", "unsteady") and fixes is not None:
+    if fix.state in ("offset", "unsteady") and fixes is not None and abs(fixes[0]) < APART_S:
+        way = "older" if fixes[0] > 0 else "newer"
         out.append(
-            f"fixes are {fixes[0]:.2f} s older than attitudes when they come ({fix.state})"
+            f"fixes are {abs(fixes[0]):.2f} s {way} than attitudes when they come ({fix.state})"
             f"{known_step(fixes[0])}"
         )
     return out
@@ -115,6 +119,8 @@ def _imu_or_late(lead_s: float) -> str:
 
 def _by_arrival(cloud: Lead) -> list[str]:
     clouds = cloud.estimate_s
+    if clouds and abs(clouds[0]) >= APART_S:  # the stamps say so themselves
+        return []
     if clouds and cloud.state == "offset":
         return [
             f"clouds are {abs(clouds[0]):.3f} s {'older' if clouds[0] > 0 else 'newer'} than "

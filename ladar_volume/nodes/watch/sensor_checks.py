@@ -14,10 +14,8 @@ from ladar_volume.io.drivers.point_layouts import RING_FIELDS
 from ladar_volume.io.frames.static_frames import Quaternion, Vector
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Returns
-from ladar_volume.nodes.watch.clock_words import known_step
+from ladar_volume.nodes.watch.clock_words import APART_S, known_step
 
-#: Stamps of two inputs further apart than this are of two clocks, s.
-CLOCKS_APART_S = 60.0
 #: Accelerations (m/s²) that are mostly gravity; over how many attitudes the direction is a mean;
 #: how far it may be from up, deg.
 GRAVITY, ATTITUDES, FEWEST, UP_DEG = (8.0, 11.6), 200, 20, 30.0
@@ -166,7 +164,7 @@ class SensorChecks:
         if not out and len(self._stamps) > 1:
             first, last = min(self._stamps, key=self._at), max(self._stamps, key=self._at)
             apart = self._at(last) - self._at(first)
-            if apart > CLOCKS_APART_S:
+            if apart > APART_S:
                 out.append(
                     f"the stamps of {first} are {apart:.0f} s before those of {last}"
                     f"{known_step(apart)}: one of the two has another clock or none; set it (PTP, "
