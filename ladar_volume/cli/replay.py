@@ -24,7 +24,7 @@ from ladar_volume.io.logs.heard_live import in_words
 from ladar_volume.io.meshfiles.body_mesh import write_bodies
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
-from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
 from ladar_volume.replay import Replay
@@ -35,8 +35,12 @@ if TYPE_CHECKING:
 
 
 def topics_by_role(words: list[str]) -> dict[str, str]:
-    """``role=topic`` words as a dictionary."""
-    return dict(word.split("=", 1) for word in words if "=" in word)
+    """``role=topic`` words as a dictionary. Raises :class:`ConfigurationError` for other words."""
+    pairs = [word.partition("=") for word in words]
+    for word, (role, _, topic) in zip(words, pairs, strict=True):
+        if not (role and topic):
+            raise ConfigurationError(f"--topic {short_repr(word)}: give role=topic", value=word)
+    return {role: topic for role, _, topic in pairs}
 
 
 def run(arguments: argparse.Namespace) -> int:

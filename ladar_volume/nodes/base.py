@@ -39,6 +39,7 @@ from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, CalibrationParameters, Parameters
 from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import (
+    check_given,
     descriptor,
     launch_refusal,
     plain_value,
@@ -129,6 +130,7 @@ class StageNode(LifecycleNode, ABC):
         )
         file = self.declare_parameter("config_file", "", read_once).value
         start = read_config(file or None)
+        check_given(self._parameter_overrides, start)
         given = start.write()
         for section in self.sections:
             for spec in specs(SECTIONS[section]):

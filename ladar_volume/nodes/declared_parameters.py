@@ -5,11 +5,14 @@ may change when.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.parameter import Parameter
 
 from ladar_volume.model.parameter import ParameterSpec
+from ladar_volume.model.parameters import SECTIONS, Parameters
 
 #: Read once, when the node starts or is configured.
 AT_START = frozenset(
@@ -23,6 +26,18 @@ FILES = frozenset(
         *("mavlink.url", "mavlink.signing_key_file"),
     }
 )
+
+
+def check_given(given: Mapping[str, Parameter], start: Parameters) -> None:
+    """Raises :class:`ConfigurationError` for a parameter given at the start that is in a section of
+    this package and is none, or has a wrong value.
+    """
+    values: dict[str, dict[str, Any]] = {}
+    for name, parameter in given.items():
+        section, _, key = name.partition(".")
+        if key and section in SECTIONS and parameter.value is not None:
+            values.setdefault(section, {})[key] = plain_value(parameter.value)
+    Parameters.read(values, start)
 
 
 def descriptor(spec: ParameterSpec) -> ParameterDescriptor:

@@ -29,7 +29,7 @@ from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
-from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
+from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros, begin_ros, made
 from ladar_volume.nodes.viewers.page_node import PageNode
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.nodes.watch.first_start import compilation_reports
@@ -155,9 +155,7 @@ class Graph:
             with compilation_reports(lambda words: None):
                 load_kernels(stage)
         before_ros()
-        # no handler of its own: it would end the context before the nodes have finished
-        given = ["--ros-args", *ros] if ros else []
-        rclpy.init(args=given, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        begin_ros(["--ros-args", *ros] if ros else [])
         try:
             self.watcher = Watcher()
             self._add(self.watcher)
@@ -186,9 +184,8 @@ class Graph:
             ]
             self._processes[name] = subprocess.Popen(command, env=os.environ)
         else:
-            node = FACTORIES[name](
-                parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
-            )
+            given = [Parameter(k, value=v) for k, v in settings.items()]
+            node = made(FACTORIES[name], parameter_overrides=given)
             started = node.autostart()
             self._add(node)
             if not started:

@@ -6,8 +6,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -90,15 +92,35 @@ def before_ros() -> None:
     sys.setswitchinterval(TURN_S)
 
 
+def begin_ros(arguments: Sequence[str] | None) -> None:
+    """Start ROS with its arguments, without signal handlers of its own: these would end the context
+    before the nodes have finished. Raises :class:`ConfigurationError` for what it cannot read.
+    """
+    try:
+        rclpy.init(
+            args=None if arguments is None else list(arguments),
+            signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
+        )
+    except RuntimeError as error:  # the client library's RCLError and UnknownROSArgsError
+        words = str(error).removeprefix("failed to initialize rcl: ").partition(", at /")[0]
+        if type(error).__name__ == "UnknownROSArgsError":
+            words = f"{words} are none of ROS: give other options before it"
+        raise ConfigurationError(f"--ros-args: {words}") from None
+
+
+def made(factory: Callable[..., StageNode], **options: Any) -> StageNode:
+    """The node. Raises :class:`ConfigurationError` for names and parameters that ROS refuses."""
+    try:
+        return factory(**options)
+    except (ParameterException, NameValidationException) as error:
+        raise ConfigurationError(f"--ros-args: {error}") from None
+
+
 def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) -> int:
     """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an
     exit code.
     """
     before_ros()
-    rclpy.init(
-        args=list(argv) if argv is not None else None,
-        signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
-    )
     stop = threading.Event()
 
     def end_in_order() -> None:
@@ -106,7 +128,8 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
             signal.signal(number, lambda *_: stop.set())
 
     try:
-        node = factory()
+        begin_ros(argv)
+        node = made(factory)
         if node.kernels is None:
             end_in_order()
         if node.kernels is not None and is_own_process():
