@@ -150,9 +150,8 @@ def test_a_clock_that_was_set_back_is_believed_after_ten_seconds():
 def test_times_that_go_back_by_two_seconds_are_late_and_beyond_they_may_begin_again():
     for step, begun in ((BACK_NS - 1, False), (BACK_NS, True)):
         door, taken = Restart(), []
-        for t in (0, 100 * S):
-            for kind in ("a", "b"):
-                door.push(kind, t, t)
+        for kind in ("a", "b"):
+            door.push(kind, 100 * S, 0)
         for t in (100 * S - step - 1, 100 * S - step):
             for kind in ("a", "b"):
                 taken.append(door.push(kind, t, t)[0])
