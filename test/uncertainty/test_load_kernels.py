@@ -53,6 +53,9 @@ def test_loads_and_their_pairs(p, results):
         np.random.default_rng(4).standard_normal((len(points), results, 3)),
     )
     g[::3] = 0.0
+    for c in range(3):  # along one axis alone, up and down
+        for sign, first in ((1.0, 1 + 3 * c), (-1.0, 2 + 3 * c)):
+            g[first::12] = sign * np.abs(g[first::12, :, :1]) * np.eye(3)[c]
     q = patch_loads(g, patches, geometry)
     n, t, X = (
         patches.normal[geometry.row],
