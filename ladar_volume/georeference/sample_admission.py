@@ -48,7 +48,8 @@ def _covariance(C: F64 | None, size: int, error: type[InputError], topic: str) -
     scale = float(np.abs(C).max())
     if scale == 0.0:
         return None
-    if np.abs(C - C.T).max() > 1e-6 * scale or np.linalg.eigvalsh(C)[0] < -1e-6 * scale:
+    unit = C / scale
+    if np.abs(unit - unit.T).max() > 1e-6 or np.linalg.eigvalsh(unit)[0] < -1e-6:
         raise error(
             f"{topic}: covariance is not symmetric and positive",
             reason=f"{topic}_bad_covariance",
@@ -77,7 +78,7 @@ def unit_quaternion(q: npt.ArrayLike, topic: str) -> F64:
         raise AttitudeError(
             f"{topic}: the orientation is not finite", reason=f"{topic}_nan", value=q
         )
-    norm = math.sqrt(float(q @ q))
+    norm = math.hypot(*q.tolist())  # whose squares may be beyond what a double holds
     if abs(norm - 1.0) > UNIT_TOLERANCE:
         raise AttitudeError(
             f"{topic}: the quaternion's norm is {norm:g}, not 1",

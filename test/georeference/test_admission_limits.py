@@ -38,6 +38,7 @@ def reason(call):
         (1.0 + 1.01 * UNIT_TOLERANCE, "imu_not_unit"),
         (1.0 - 1.01 * UNIT_TOLERANCE, "imu_not_unit"),
         (np.inf, "imu_nan"),
+        (1e200, "imu_not_unit"),  # whose square no double holds
     ],
 )
 def test_a_quaternion_is_of_norm_one_to_a_hundredth(norm, said):
@@ -76,6 +77,8 @@ SKEW = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
         (np.diag([4.0, 1.0, -4.1e-6]), "fix_bad_covariance"),
         (np.diag([4.0, 1.0, 1.0]) + 1.9e-6 * SKEW, ""),
         (np.diag([4.0, 1.0, 1.0]) + 2.1e-6 * SKEW, "fix_bad_covariance"),
+        (1.7e308 * np.eye(3), ""),
+        (np.eye(3) + 1.7e308 * SKEW, "fix_bad_covariance"),
         (np.eye(2), "fix_bad_covariance"),
         (np.diag([1.0, np.inf, 1.0]), "fix_bad_covariance"),
         (np.zeros((3, 3)), "fix_unknown_covariance"),

@@ -81,6 +81,10 @@ def test_a_mounting_as_configured_is_not_doubted():
     check = flown(TRUE)
     assert check.found() is None and not mounting_doubts(None, np.eye(3)).doubts
     assert check.told > 10
+    pairs, better, other, own, every = check.sums
+    # pairs that tell are some of all pairs, of which the first rotation has none
+    assert (better <= pairs).all() and (own >= 0.0).all() and (own <= every[0] + 1e-9).all()
+    assert (other >= 0.0).all() and (other <= every + 1e-9).all() and pairs[0] == own[0] == 0.0
 
 
 @pytest.mark.parametrize("off", [90.0, 180.0, 270.0])

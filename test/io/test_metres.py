@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from ladar_volume.io.pointfiles.metres import MapCoordinates, metres_of_steps, stretch
+from ladar_volume.io.pointfiles.metres import (
+    MapCoordinates,
+    metres_of_steps,
+    round_specks,
+    stretch,
+)
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -39,3 +44,9 @@ def test_a_step_of_a_degree_is_as_long_as_on_the_ground(latitude):
     )
     expected = [np.linalg.norm(east - a), np.linalg.norm(north - a), 0.6096]
     np.testing.assert_allclose(found, expected, rtol=0.01)  # of an ellipsoid as of a sphere
+
+
+def test_coordinates_whose_squares_no_double_holds_are_zero():
+    r = np.array([[1.0, -0.0, 1e-99], [5e-324, -1e-101, -2.0]])
+    round_specks(r)
+    assert r.tolist() == [[1.0, 0.0, 1e-99], [0.0, 0.0, -2.0]] and np.signbit(r[0, 1])

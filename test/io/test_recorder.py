@@ -450,3 +450,12 @@ def test_each_message_keeps_when_it_was_sent_and_its_number(tmp_path):
             for _, _, m in make_reader(stream).iter_messages()
         ]
     assert found == [(5 * S, 3 * S, 7), (6 * S, 6 * S, 70_000), (7 * S, 6 * S, 9)]
+
+
+def test_a_chunk_is_written_with_the_byte_that_fills_it(tmp_path):
+    for more, left in ((0, {}), (1, {"/chat": 2})):
+        given = parameters(tmp_path / str(more), chunk_bytes=2000 + more, chunk_s=100.0)
+        with McapLog(given) as log:
+            log.write("/chat", KIND, bytes(1000), S)
+            log.write("/chat", KIND, bytes(1000), S)
+            assert log.pending == left

@@ -112,6 +112,10 @@ def test_calibration_lines_add_up():
     assert calibration_variance(J, A @ A.T) == {
         "calibration": pytest.approx(float(J @ A @ A.T @ J))
     }
+    for sign in (1.0, -1.0):  # of two groups
+        block = np.diag(variances)
+        block[0, -1] = block[-1, 0] = sign * 0.05
+        assert list(calibration_variance(J, block)) == ["calibration"]
     block = np.diag(variances)
     block[1, 2] = block[2, 1] = 0.05  # within one group: still a line per group
     assert set(calibration_variance(J, block)) == set(groups)

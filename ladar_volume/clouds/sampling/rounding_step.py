@@ -62,6 +62,8 @@ def _step(x: F64) -> float | None:
     single = bool((some == some.astype(np.float32)).all())
     precision = float(resolution * (2.0**-23 if single else 2.0**-52))
     low, high = max(FINEST * width, 4.0 * precision), COARSEST * width
+    if low < np.finfo(np.float64).tiny:
+        return 0.0  # steps below what doubles resolve
     if high > low:
         decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
         candidates = np.outer(np.outer(DIGITS, UNITS).ravel(), decades).ravel()

@@ -159,7 +159,7 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
     wide = np.array([level.edge_m for level in levels])[:, None] * OVER
     seen = (wide > reach) & (wide <= FARTHER * reach)
     band = (seen & (np.array(states) == ON_LINE)).any(axis=0)
-    if np.mean(band[known]) <= BANDS:
+    if known.any() and np.mean(band[known]) <= BANDS:
         known &= ~band
     reach = np.where(known, reach, np.nan)
     remote = reach > REMOTE * np.median(reach[known]) if known.any() else known

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 MOST_STRETCH = 0.02
 #: Largest coordinate, m: beyond it a double has steps of micrometres.
 FARTHEST_M = 1e10
+#: Smallest coordinate but 0, m: squares of smaller ones are none that a double holds.
+SMALLEST_M = 1e-100
 #: Whole numbers without a unit that spread further than this are hardly metres.
 WHOLE_FROM = 500.0
 #: Degrees are told from metres by heights that spread this many times more than the site is wide.
@@ -147,6 +149,7 @@ def to_metres(
         if crs is not None and factor != (1.0, 1.0):
             crs = metric(crs)
     refuse_far(r)
+    round_specks(r)
     scale, ground = (None, None) if crs is None else stretch(r, crs)
     return r, MapCoordinates(crs, declared, across, up, factor, scale, ground), doubts
 
@@ -160,6 +163,14 @@ def refuse_far(r: F64) -> None:
             reason="cloud_values",
             value=far,
         )
+
+
+def round_specks(r: F64) -> None:
+    """Coordinates (n, 3) that are 0 to whatever anybody measures become it, in place."""
+    specks = np.abs(r) < SMALLEST_M
+    specks &= r != 0.0
+    if specks.any():
+        r[specks] = 0.0
 
 
 def refuse_degrees(r: F64, declared: Coordinates) -> None:
