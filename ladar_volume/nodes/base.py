@@ -95,7 +95,7 @@ class StageNode(LifecycleNode, ABC):
         super().__init__(name, **options)
         self.losses = Losses()
         self.failure = ""
-        self.cut_off = self.ending = False
+        self.cut_off = self.ending = self.finished = False
         self._defects = Defects()
         self.health = Health()
         self._shares = LossShares()
@@ -233,6 +233,7 @@ class StageNode(LifecycleNode, ABC):
         )
         answers = MutuallyExclusiveCallbackGroup()
         self.create_service(Trigger, "~/reset", self._reset, callback_group=answers)
+        self.finished = False
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._worker.start()
         return TransitionCallbackReturn.SUCCESS
@@ -332,8 +333,7 @@ class StageNode(LifecycleNode, ABC):
         self.queue.put(None)
         self._worker.join(timeout=self.stop_s)
         if self._worker.is_alive():
-            words = f"work in the queue was not finished within {self.stop_s:g} s"
-            self.get_logger().error(words)
+            self.get_logger().error(f"work was not finished within {self.stop_s:g} s")
         if self.context.ok():
             self.publish_diagnostics()
             deadline = time.monotonic() + ACKED_S
@@ -368,9 +368,7 @@ class StageNode(LifecycleNode, ABC):
         return True
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
-        """A publisher that does not ask for warnings of a subscriber's QoS that does not match:
-        each costs at every message.
-        """
+        """A publisher without warnings of QoS that do not match: each costs at every message."""
         return super().create_publisher(
             *arguments,
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
@@ -464,6 +462,7 @@ class StageNode(LifecycleNode, ABC):
                 continue
             if item is None:
                 self._run_guarded(self.finish)
+                self.finished = True
                 break
             kind, payload = item
             self._busy, began = True, time.monotonic()
@@ -510,7 +509,8 @@ class StageNode(LifecycleNode, ABC):
         }
         now, clock = time.monotonic(), self.get_clock().now()
         values |= self.health.lines(now, int(clock.nanoseconds)) | {
-            "clock_jumps_back": self._jumps_back
+            "clock_jumps_back": self._jumps_back,
+            "finished": int(self.finished),
         }
         wrong, errors = self.health.silent(now) if self._active else ([], [])
         with contextlib.suppress(
@@ -548,8 +548,8 @@ class StageNode(LifecycleNode, ABC):
         return total
 
     def autostart(self, before_data: Callable[[], None] = lambda: None) -> bool:
-        """Configure and activate where the parameters say so. False where it cannot be configured;
-        :attr:`failure` says why. before_data : called before the node takes in anything.
+        """Configure and activate where the parameters say so; False, with :attr:`failure`, where it
+        cannot be. before_data : called before the node takes in anything.
         """
         if not self.parameters.node.autostart:
             before_data()

@@ -249,6 +249,7 @@ class FilterNode(StageNode):
             "last_update_s": f"{self._last_update_s:.2f}",
             "deferred_s": f"{self.stage.deferred_s:.2f}",
             "restarts": self._passes.begun,
+            "sent_ns": self._sent_ns,
             "ahead_bytes": self._ahead.bytes,
         }
 

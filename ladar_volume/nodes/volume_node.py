@@ -357,7 +357,8 @@ class VolumeNode(StageNode):
             if v is None
             else f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
         )
-        torn = TORN if self._half or self._parts or self.stage.awaits_path else ""
+        half = self._half or self._parts or self.stage.awaits_path
+        torn = TORN if half or self._others.sent_ns() > self._newest_part else ""
         waiting = self._others.waiting_text() if self.cut_off else ""
         untaken = self._others.untaken_text()
         lacking = "; ".join(filter(None, (waiting or torn, self._new_surface.words(), untaken)))

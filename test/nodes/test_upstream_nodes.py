@@ -35,9 +35,11 @@ def test_what_found_no_room_is_named():
     assert text == "georeference_node lost 5 messages for which it had no room"
 
 
-def test_what_the_filter_put_off_is_named():
-    assert "left 31 points" in reported(filter_node={"points_deferred": 31}).untaken_text()
-    assert reported(filter_node={"points_deferred": 0}).untaken_text() == ""
+def test_a_node_that_ended_before_its_work_was_done_is_named():
+    nodes = reported(georeference_node={"finished": 1}, filter_node={"finished": 0, "sent_ns": 77})
+    assert nodes.untaken_text() == "filter_node ended before its work was done"
+    assert nodes.sent_ns() == 77 and reported().sent_ns() == 0
+    assert reported(filter_node={"finished": 1}).untaken_text() == ""
 
 
 def test_a_georeference_node_that_was_started_again_is_named():

@@ -88,10 +88,14 @@ class UpstreamNodes:
         taken = self.lines("filter_node").get("count_points", "")
         if sent.isdecimal() and taken.isdecimal() and int(taken) < int(sent):
             words.append(f"filter_node took {taken} of {sent} mapped points")
-        put_off = self.lines("filter_node").get("points_deferred", "0")
-        if put_off.isdecimal() and int(put_off):
-            words.append(f"filter_node left {put_off} points for an update that did not come")
+        cut = [name for name in self._names if self.lines(name).get("finished") == "0"]
+        words += [f"{name} ended before its work was done" for name in cut]
         return ", ".join(words)
+
+    def sent_ns(self) -> int:
+        """Stamp of the last part of the surface that filter_node has sent, 0 where it says none."""
+        stamp = self.lines("filter_node").get("sent_ns", "")
+        return int(stamp) if stamp.isdecimal() else 0
 
     def waiting_text(self) -> str:
         """What the upstream nodes had not passed on at their last status, as text."""
