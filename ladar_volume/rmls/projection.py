@@ -1,18 +1,29 @@
-"""Projection of raw points onto the patch of their voxel, thinned to cells of its tangent plane."""
+"""Projection of raw points onto the patch of their voxel, thinned to cells of its tangent plane.
+
+Where a surface runs along the border of two layers of voxels, both have a patch of it, and both a
+point in the same place. The two would count twice what lies near the border, a base that is fitted
+to the points would be drawn there. So of a cell's point each patch keeps as much as its own voxel
+has of the cell's inliers in the column: by chance, with that probability.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I64
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.hashing import mix_bits
+from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
+from ladar_volume.rmls.thinning_weights import COLUMNS, HASHES, column_of, steepest_axis
 from ladar_volume.rmls.voxel_store import VoxelArrays
+
+#: The column that a patch's own voxel lies in.
+CENTRE = COLUMNS // 2
 
 
 class ProjectedArrays(NamedTuple):
@@ -32,7 +43,7 @@ class ProjectedArrays(NamedTuple):
 class PlaneCells(NamedTuple):
     """Points of a patch by cell of its tangent plane. cells : (cap, 2) · size : (cap,) points in
     each · place : (cap, 2) m, noise : (cap, 6) m² and time : (cap,) ns after that of the first,
-    ``time0``, in sum
+    ``time0``, in sum · weight : (cap, 2) of the points, and of other voxels' points in the column
     """
 
     cells: I64
@@ -41,6 +52,7 @@ class PlaneCells(NamedTuple):
     noise: F64
     time0: I64
     time: I64
+    weight: F64
 
 
 @kernel
@@ -53,7 +65,18 @@ def _plane_cells(cap: int) -> PlaneCells:
         np.zeros((cap, 6)),
         np.zeros(cap, np.int64),
         np.zeros(cap, np.int64),
+        np.zeros((cap, 2)),
     )
+
+
+@leaf_kernel
+def _cell_at(x: F64, edge: float, m: int, cells: I64) -> Any:
+    """Which of m cells a point lies in whose row is x, m where none of them is; its indices."""
+    cu, cv = np.int64(np.floor(x[1] / edge)), np.int64(np.floor(x[2] / edge))
+    k = 0
+    while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
+        k += 1
+    return k, cu, cv
 
 
 @kernel
@@ -70,21 +93,51 @@ def _fill_cells(
         if slot // store.cap != fits.voxels[a]:
             continue
         polynomial_row(store.r, slot, fits.centre[a], fits.tangent[a], side, 3, x)
-        cu, cv = np.int64(np.floor(x[1] / edge)), np.int64(np.floor(x[2] / edge))
-        k = 0
-        while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
-            k += 1
+        k, cu, cv = _cell_at(x, edge, m, cells)
         if k == m:
             cells[k, 0], cells[k, 1] = cu, cv
             into.time0[k] = store.t_ns[slot]
             m += 1
         size[k] += 1
+        into.weight[k, 0] += fits.weights[i]
         place[k, 0] += x[1]
         place[k, 1] += x[2]
         into.time[k] += store.t_ns[slot] - into.time0[k]
         for c in range(6):
             into.noise[k, c] += store.C[slot, c]
     return m, into
+
+
+@kernel
+def _weigh_column(
+    a: int, side: F64, store: VoxelArrays, fits: Fits, edge: float, m: int, into: PlaneCells
+) -> None:
+    """Add the weights of those inliers of patch a that lie in its m cells and in its column of
+    voxels, but not in its voxel.
+    """
+    x, own = np.zeros(6), fits.voxels[a]
+    key, axis = store.keys[own], steepest_axis(fits.normal[a])
+    last, beside = -1, False
+    for i in range(fits.start[a], fits.start[a] + fits.used[a]):
+        voxel = fits.members[i] // store.cap
+        if voxel != last:
+            last = voxel
+            beside = voxel != own and column_of(store.keys[voxel], key, axis) == CENTRE
+        if beside:
+            polynomial_row(store.r, fits.members[i], fits.centre[a], fits.tangent[a], side, 3, x)
+            k, _, _ = _cell_at(x, edge, m, into.cells)
+            if k < m:
+                into.weight[k, 1] += fits.weights[i]
+
+
+@leaf_kernel
+def _keeps(key: int, cell: I64, weight: F64) -> Any:
+    """Whether a voxel keeps the point of a cell of weights (2,): of it, and of others beside it."""
+    if weight[1] == 0.0:
+        return True
+    place = mix_bits(np.uint64(cell[0])) ^ mix_bits(mix_bits(np.uint64(cell[1])))
+    chance = np.float64(mix_bits(np.uint64(key) ^ place)) / HASHES
+    return chance * (weight[0] + weight[1]) < weight[0]
 
 
 @kernel
@@ -121,9 +174,13 @@ def _project_row(
     a = rows[i_row]
     n, t, s, x = fits.normal[a], fits.tangent[a], np.empty(3), np.zeros(6)
     second_tangent(n, t, s)
-    out.counts[i_row], cells = _fill_cells(a, s, store, fits, edge)
-    for k in range(out.counts[i_row]):
-        i, size = i_row * store.cap + k, cells.size[k]
+    found, cells = _fill_cells(a, s, store, fits, edge)
+    _weigh_column(a, s, store, fits, edge, found, cells)
+    for k in range(found):
+        if not _keeps(store.keys[fits.voxels[a]], cells.cells[k], cells.weight[k]):
+            continue
+        i, size = i_row * store.cap + out.counts[i_row], cells.size[k]
+        out.counts[i_row] += 1
         u, v = cells.place[k, 0] / size, cells.place[k, 1] / size
         w, wu, wv, variance = _surface_at(u, v, fits.beta[a], C_beta[i_row], p, x)
         slope = np.sqrt(1.0 + wu * wu + wv * wv)
