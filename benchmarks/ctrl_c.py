@@ -17,6 +17,7 @@ import json
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -266,9 +267,24 @@ def complete(log: Path) -> str:
     return "no account: it was not closed"
 
 
-def interrupt_often(runs: int, seed: int, folder: Path, launched: bool) -> list[dict[str, Any]]:
+def keep(log: Path, config: Path, run: dict[str, Any], folder: Path | None) -> None:
+    """Copies the log of a wrong end, its configuration and what the nodes said, where asked."""
+    if folder is None:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in (log, config):
+        if path.exists():
+            shutil.copy(path, folder / f"{log.stem}_{path.name}")
+    (folder / f"{log.stem}.json").write_text(json.dumps(run, indent=1, default=str))
+
+
+def interrupt_often(
+    runs: int, seed: int, folder: Path, launched: bool, wrong: Path | None = None
+) -> list[dict[str, Any]]:
     """One dictionary per run, as :func:`interrupted`, with ``log`` (what is wrong with it), ``end``
     (the volume said to be at the end), ``replay`` (that of the log) and ``wrong``.
+
+    wrong : where logs of wrong ends are kept
     """
     rng, found = random.Random(seed), []
     subprocess.run([sys.executable, "-m", "ladar_volume.compile_kernels"], cwd=ROOT, check=True)
@@ -285,6 +301,8 @@ def interrupt_often(runs: int, seed: int, folder: Path, launched: bool) -> list[
         other = run["replay"] is None or abs(run["replay"] - run["end"]) > PRINTED_M3
         run["wrong"] = end is not None and other and not run["more"]
         found.append(run)
+        if run["wrong"] or run["log"]:
+            keep(log, bag / "config.yaml", run, wrong)
         words = f"end {run['end']}, replay {run['replay']}" if end else "incomplete" * incomplete
         print(
             f"{n + 1}: signal after {run['delay_s']:.2f} s, ended in {run['took_s']:.1f} s, "
@@ -296,10 +314,12 @@ def interrupt_often(runs: int, seed: int, folder: Path, launched: bool) -> list[
     return found
 
 
-def run(runs: int = 20, seed: int = 1, launched: bool = False) -> dict[str, float | int | str]:
+def run(
+    runs: int = 20, seed: int = 1, launched: bool = False, wrong: Path | None = None
+) -> dict[str, float | int | str]:
     """Figures of so many runs."""
     with tempfile.TemporaryDirectory() as folder:
-        found = interrupt_often(runs, seed, Path(folder), launched)
+        found = interrupt_often(runs, seed, Path(folder), launched, wrong)
     return {
         "runs": len(found),
         "logs complete, %": 100.0 * sum(not r["log"] for r in found) / len(found),
@@ -318,8 +338,9 @@ if __name__ == "__main__":
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--launch", action="store_true", help="the nodes by ros2 launch")
+    parser.add_argument("--keep", type=Path, help="folder for the logs of wrong ends")
     arguments = parser.parse_args()
-    figures = run(arguments.runs, arguments.seed, arguments.launch)
+    figures = run(arguments.runs, arguments.seed, arguments.launch, arguments.keep)
     for name, value in figures.items():
         print(f"{name}: {value}")
     whole = figures["logs complete, %"] == 100.0
