@@ -2,8 +2,8 @@
 
 Where a surface runs along the border of two layers of voxels, both have a patch of it, and both a
 point in the same place. The two would count twice what lies near the border, a base that is fitted
-to the points would be drawn there. So of a cell's point each patch keeps as much as its own voxel
-has of the cell's inliers in the column: by chance, with that probability.
+to the points would be drawn there. So a patch keeps a cell's point with the share that its own
+voxel has of the inliers there, by chance.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from ladar_volume.math.array_types import F32, F64, I64
+from ladar_volume.math.array_types import F32, F64, I64, U64
 from ladar_volume.math.hashing import mix_bits
 from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
@@ -43,7 +43,8 @@ class ProjectedArrays(NamedTuple):
 class PlaneCells(NamedTuple):
     """Points of a patch by cell of its tangent plane. cells : (cap, 2) · size : (cap,) points in
     each · place : (cap, 2) m, noise : (cap, 6) m² and time : (cap,) ns after that of the first,
-    ``time0``, in sum · weight : (cap, 2) of the points, and of other voxels' points in the column
+    ``time0``, in sum · first : (cap,) hash of that · weight : (cap, 2) of the points, and of other
+    voxels' points in the column
     """
 
     cells: I64
@@ -52,6 +53,7 @@ class PlaneCells(NamedTuple):
     noise: F64
     time0: I64
     time: I64
+    first: U64
     weight: F64
 
 
@@ -65,18 +67,9 @@ def _plane_cells(cap: int) -> PlaneCells:
         np.zeros((cap, 6)),
         np.zeros(cap, np.int64),
         np.zeros(cap, np.int64),
+        np.zeros(cap, np.uint64),
         np.zeros((cap, 2)),
     )
-
-
-@leaf_kernel
-def _cell_at(x: F64, edge: float, m: int, cells: I64) -> Any:
-    """Which of m cells a point lies in whose row is x, m where none of them is; its indices."""
-    cu, cv = np.int64(np.floor(x[1] / edge)), np.int64(np.floor(x[2] / edge))
-    k = 0
-    while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
-        k += 1
-    return k, cu, cv
 
 
 @kernel
@@ -93,10 +86,13 @@ def _fill_cells(
         if slot // store.cap != fits.voxels[a]:
             continue
         polynomial_row(store.r, slot, fits.centre[a], fits.tangent[a], side, 3, x)
-        k, cu, cv = _cell_at(x, edge, m, cells)
+        cu, cv = np.int64(np.floor(x[1] / edge)), np.int64(np.floor(x[2] / edge))
+        k = 0
+        while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
+            k += 1
         if k == m:
             cells[k, 0], cells[k, 1] = cu, cv
-            into.time0[k] = store.t_ns[slot]
+            into.time0[k], into.first[k] = store.t_ns[slot], store.hashes[slot]
             m += 1
         size[k] += 1
         into.weight[k, 0] += fits.weights[i]
@@ -112,8 +108,9 @@ def _fill_cells(
 def _weigh_column(
     a: int, side: F64, store: VoxelArrays, fits: Fits, edge: float, m: int, into: PlaneCells
 ) -> None:
-    """Add the weights of those inliers of patch a that lie in its m cells and in its column of
-    voxels, but not in its voxel.
+    """Add to each of m cells the weights of those inliers of patch a that lie about its mean place,
+    in a square of its size, and in the patch's column of voxels, but not in its voxel. Not those in
+    the cell: a lone point lies at its patch's centre, where four cells meet.
     """
     x, own = np.zeros(6), fits.voxels[a]
     key, axis = store.keys[own], steepest_axis(fits.normal[a])
@@ -125,18 +122,20 @@ def _weigh_column(
             beside = voxel != own and column_of(store.keys[voxel], key, axis) == CENTRE
         if beside:
             polynomial_row(store.r, fits.members[i], fits.centre[a], fits.tangent[a], side, 3, x)
-            k, _, _ = _cell_at(x, edge, m, into.cells)
-            if k < m:
-                into.weight[k, 1] += fits.weights[i]
+            for k in range(m):
+                u, v = into.place[k, 0] / into.size[k], into.place[k, 1] / into.size[k]
+                if abs(x[1] - u) <= 0.5 * edge and abs(x[2] - v) <= 0.5 * edge:
+                    into.weight[k, 1] += fits.weights[i]
 
 
 @leaf_kernel
-def _keeps(key: int, cell: I64, weight: F64) -> Any:
-    """Whether a voxel keeps the point of a cell of weights (2,): of it, and of others beside it."""
+def _keeps(first: np.uint64, weight: F64) -> Any:
+    """Whether a voxel keeps the point of a cell of weights (2,): of it, and of others beside it.
+    By the hash of its first point, whatever the rounding of its place.
+    """
     if weight[1] == 0.0:
         return True
-    place = mix_bits(np.uint64(cell[0])) ^ mix_bits(mix_bits(np.uint64(cell[1])))
-    chance = np.float64(mix_bits(np.uint64(key) ^ place)) / HASHES
+    chance = np.float64(mix_bits(first)) / HASHES
     return chance * (weight[0] + weight[1]) < weight[0]
 
 
@@ -177,7 +176,7 @@ def _project_row(
     found, cells = _fill_cells(a, s, store, fits, edge)
     _weigh_column(a, s, store, fits, edge, found, cells)
     for k in range(found):
-        if not _keeps(store.keys[fits.voxels[a]], cells.cells[k], cells.weight[k]):
+        if not _keeps(cells.first[k], cells.weight[k]):
             continue
         i, size = i_row * store.cap + out.counts[i_row], cells.size[k]
         out.counts[i_row] += 1
