@@ -347,6 +347,7 @@ def refit(
     inside, weight = near.inside, thinning.weight
     residuals = Residuals(np.empty(m), np.empty(m))
     straight, used, shift = residuals.straight, 0, 0.0
+    balance(thinning, m, inside)
     for step in range(rule.iterations + 1):
         if step > 0:
             # noise-free input: from the second step on above the rounding of coordinates
@@ -360,8 +361,6 @@ def refit(
             sigma = np.sqrt(_square(residuals.off, m, inside, weight) / (used - p))
             if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
-        else:
-            balance(thinning, m, inside)
         if p == 6:
             _straighten(near.uvw, m, b, ball, straight)
             _normal_quadric(near, straight, m, weight, A, right)

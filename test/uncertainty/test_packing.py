@@ -92,8 +92,9 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
     plain, packed = surface_geometry(update.points, sent), surface_geometry(update.points, held)
     smooth = np.zeros((len(update.points), 1, 3))
     smooth[:, 0, 2] = 1.0
-    # that of a mean height, as a volume has it; and loads as independent as no volume has them
-    for gradient, error in ((smooth, 3e-4), (rng.standard_normal(smooth.shape), 5e-3)):
+    white = [rng.standard_normal(smooth.shape) for _ in range(8)]
+    errors = []
+    for gradient in (smooth, *white):
         q = patch_loads(gradient, sent, plain)
         assert patch_loads(gradient, held, packed).tobytes() == q.tobytes()
         before, after = (
@@ -115,7 +116,11 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
         assert abs(after - before) <= float(
             (weight * y[packed.block_rows] * y[packed.right]).sum()
         ) * (1 + 1e-6)
-        assert after == pytest.approx(before, rel=error)
+        errors.append(after / before - 1.0)
+    # and the root to a twentieth of a percent: of a mean height, and of loads as independent as no
+    # volume has them, of which there are few on so small a sheet, in the mean
+    assert abs(errors[0]) < 1e-3 and abs(np.mean(errors[1:])) < 1e-3
+    assert np.abs(errors).max() < 5e-3
 
 
 def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
