@@ -7,6 +7,7 @@ code 1 where one is not seen. The copy is made in a temporary folder; the tree s
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -21,6 +22,8 @@ ROOT = Path(__file__).parents[1]
 HERE = "test/test_planted_bugs.py"
 #: A test whose kernels are compiled anew takes minutes; one that hangs has seen its bug.
 SECONDS = 900
+#: A file with kernels imports their decorators.
+HOLDS = "math.kernels"
 
 
 @dataclass(frozen=True)
@@ -177,31 +180,56 @@ def passes_all(tests: list[str], tree: Path) -> bool:
 
 @contextmanager
 def planted_in(file: Path, bad: str) -> Iterator[None]:
-    """A file with another text within the block. Compiled kernels of its room are laid aside where
-    it holds some, for their callers hold them, and come back afterwards with the file's own time.
+    """A file with another text within the block. Its compiled kernels, and those of files that
+    hold them, are laid aside, and come back afterwards with the file's own time.
     """
     good, at = file.read_bytes(), file.stat()
+    files = holders(file)
     with tempfile.TemporaryDirectory() as name:
-        if b"math.kernels" in good:
-            for cache in kernels_of(file):
-                shutil.move(cache, name)
+        aside = [Path(name) / str(k) for k in range(len(files))]
+        for one, folder in zip(files, aside, strict=True):
+            folder.mkdir()
+            for cache in kernels_of(one):
+                shutil.move(cache, folder)
         try:
             file.write_text(bad, encoding="utf-8")
             yield
         finally:
             file.write_bytes(good)
             os.utime(file, ns=(at.st_atime_ns, at.st_mtime_ns))
-            if b"math.kernels" in good:
-                for cache in kernels_of(file):
+            for one, folder in zip(files, aside, strict=True):
+                for cache in kernels_of(one):
                     cache.unlink()
-                for old in Path(name).iterdir():
-                    shutil.move(old, file.parent / "__pycache__")
+                for old in folder.iterdir():
+                    shutil.move(old, one.parent / "__pycache__")
+
+
+def holders(file: Path) -> list[Path]:
+    """The file, and those whose kernels may hold its own: they import it, or one that does."""
+    package = next(p for p in file.parents if p.name == "ladar_volume")
+    texts = {p: p.read_text(encoding="utf-8") for p in sorted(package.rglob("*.py"))}
+    texts = {p: text for p, text in texts.items() if HOLDS in text}
+    found, news = [file], [file]
+    while news:
+        word = re.compile("|".join(imports_of(p.relative_to(package.parent)) for p in news))
+        news = [p for p, text in texts.items() if p not in found and word.search(text)]
+        found += news
+    return found
+
+
+def imports_of(file: Path) -> str:
+    """Pattern of what imports a file, given below the tree."""
+    room = re.escape(".".join(file.parent.parts))
+    return rf"from {room}(\.{file.stem} import| import .*\b{file.stem}\b)"
 
 
 def kernels_of(file: Path) -> list[Path]:
-    """Compiled kernels of a file's room."""
-    folder = file.parent / "__pycache__"
-    return [*folder.glob("*.nbi"), *folder.glob("*.nbc")]
+    """Compiled kernels of a file."""
+    return [
+        p
+        for end in ("nbi", "nbc")
+        for p in (file.parent / "__pycache__").glob(f"{file.stem}.*.{end}")
+    ]
 
 
 def count_seen(words: list[str]) -> tuple[int, int]:

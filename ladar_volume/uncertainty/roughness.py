@@ -176,6 +176,13 @@ def lag_edges(p: F64, spacing_m: float) -> F64:
     return np.asarray(np.geomspace(low, high, 25))
 
 
+def lag_middles(edges: F64) -> F64:
+    """Lags (k + 1,) m that stand for none, for those below the first of the edges (k,) m, and for
+    those between two of them.
+    """
+    return np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
+
+
 def _weights(counts: F64, n: int, square: float, noise: float) -> tuple[F64, F64]:
     """Numbers of pairs at lag zero, where they are the n points, and the other lags (k + 1,), and
     variances of the mean products there (k + 1,) m⁴.
@@ -211,7 +218,7 @@ def _iterate_field(
     products at lag zero and the others, (k + 1,) each · start : no roughness
     """
     (products, counts, partners, d, known), (pairs, variance) = sums, weights
-    lag = np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
+    lag = lag_middles(edges)
     ok = np.append(True, counts >= LEAST_PAIRS)
     rough, own, trace, most_m = start, np.zeros_like(Q), 0.0, 2.0 * float(edges[-1])
     for number in range(ROUNDS):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -16,6 +17,7 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Plane
 from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.volume.base import area_by_body, area_inside
 from ladar_volume.volume.estimator import MAX_JOINT, VolumeEstimator, joint_covariance
 from ladar_volume.volume.outline import bodies, shares
 
@@ -66,6 +68,24 @@ def test_least_size_and_number_of_bodies():
     assert len(estimate(two_piles, volume={"bodies": 2, "min_body_m3": 0.0}).bodies) == 2
     # the main body counts whatever its size
     assert len(estimate(two_piles, volume={"bodies": 0, "min_body_m3": 1000.0}).bodies) == 1
+
+
+def test_an_outline_of_another_kind_is_no_matter_of_bodies():
+    axis = np.arange(0.0, 20.5, 0.5)
+    xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    one, two = cone(xy[:, 0] - 5, xy[:, 1] - 10, 3.0), cone(xy[:, 0] - 14, xy[:, 1] - 10, 3.0, 2.0)
+    tin, base = build_tin(np.c_[xy, np.maximum(one, two)]), design_surface([0.0])
+    volume = Parameters.read({"volume": {"bodies": 2, "object_height_m": 0.2}}).volume
+    parts = area_by_body(tin, base, inside := area_inside(tin, base, volume), volume)
+    assert len(parts) == 2 and np.array_equal(parts[0] + parts[1], inside)
+    middle = tin.vertices[tin.triangles, 0].mean(axis=1)
+    assert middle[parts[0] > 0].max() < 10.0 < middle[parts[1] > 0].min()
+    square = (2.0, 8.0, 18.0, 8.0, 18.0, 12.0, 2.0, 12.0)
+    for other in ({"outline": "all"}, {"outline": "polygon", "polygon_m": square}):
+        drawn = dataclasses.replace(volume, **other)
+        inside = area_inside(tin, base, drawn)
+        whole = area_by_body(tin, base, inside, drawn)
+        assert len(whole) == 1 and np.array_equal(whole[0], inside)
 
 
 def test_a_common_error_correlates_the_bodies_fully():

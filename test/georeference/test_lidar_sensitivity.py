@@ -258,6 +258,28 @@ def test_reference_case_tilted_across_as_a_scanner_would_be():
     )
 
 
+def test_the_published_table_of_typical_errors():
+    """May & Toth (2007) as printed: 5 to 15 cm, up 7.5 to 22.5; 10 to 30 seconds of arc, heading 20
+    to 60; misalignment 10, 10 and 30; range 1 cm; scan angle 2.52 seconds of arc.
+    """
+    for preset, cm, arc in (("table1_low", 5.0, 10.0), ("table1_high", 15.0, 30.0)):
+        b = bud.PRESETS[preset]
+        assert 100.0 * np.array(b.position_sigma_m) == pytest.approx([cm, cm, 1.5 * cm])
+        seconds = 3600.0 * np.degrees([b.attitude_sigma_rad, b.boresight_sigma_rad])
+        assert seconds == pytest.approx(np.array([[arc, arc, 2.0 * arc], [10.0, 10.0, 30.0]]))
+        angles = [b.azimuth_noise_rad, b.vertical_noise_rad]
+        assert 3600.0 * np.degrees(angles) == pytest.approx(2.52) and b.range_noise_m == 0.01
+        rest = (*b.lever_laser_sigma_m, *b.lever_antenna_sigma_m, b.clock_sigma_s)
+        assert not any(rest)
+
+
+def test_the_thesis_budget():
+    b = bud.PRESETS["thesis"]
+    assert np.degrees(b.attitude_sigma_rad) == pytest.approx([0.25, 0.25, 0.8])
+    assert b.position_sigma_m == (0.01, 0.01, 0.01) and b.range_noise_m == 0.03
+    assert not any((*b.boresight_sigma_rad, b.azimuth_noise_rad, b.vertical_noise_rad))
+
+
 def test_corrected_position_sigma_is_a_quadrature():
     corrected, printed = (
         bud.PRESETS["survey_corrected"].position_sigma_m,

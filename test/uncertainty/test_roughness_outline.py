@@ -27,6 +27,8 @@ from ladar_volume.uncertainty.roughness import (
     fields_kernel,
     fit_field,
     fit_reduction,
+    lag_edges,
+    lag_middles,
     packed_product,
     pair_sums,
 )
@@ -232,6 +234,24 @@ def test_an_exact_ground_has_no_roughness():
     with np.errstate(all="raise"):
         found = estimate_roughness(xy, np.zeros(len(xy)), np.zeros(len(xy)), 3)
     assert found.variance_m2 == 0.0
+
+
+def test_no_roughness_has_the_shortest_length_whatever_it_was_told_from():
+    xy, noise = grid(20, 0.4), 0.01 * np.random.default_rng(2).standard_normal(400)
+    none = estimate_roughness(xy, np.zeros(400), np.zeros(400), 3)
+    assert none == estimate_roughness(xy, noise, np.full(400, 1.2e-4), 3)
+    few = estimate_roughness(xy[:3], noise[:3], np.full(3, 1e-4), 3)
+    assert few == Roughness(0.0, mean_spacing(xy[:3]) / 2, mean_spacing(xy[:3]))
+    shortest = fit_field(np.zeros(1), np.zeros(1), np.ones(1), none.spacing_m / 2, 80.0)[1]
+    assert none.length_m == pytest.approx(shortest, rel=1e-12)
+
+
+def test_a_lag_lies_in_the_middle_of_its_pairs():
+    edges = lag_edges(grid(30, 0.5), 0.5)
+    assert edges[0] == 0.5 and edges[-1] == pytest.approx(0.25 * 29 * math.sqrt(2.0))
+    lag = lag_middles(edges)
+    assert lag[0] == 0.0 and lag[1] - 0.0 == pytest.approx(edges[0] - lag[1])
+    assert lag[2:] / edges[:-1] == pytest.approx(edges[1:] / lag[2:])
 
 
 def test_how_smooth_a_field_is():

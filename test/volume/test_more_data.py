@@ -173,6 +173,14 @@ def test_relief_of_known_surfaces():
     assert np.isnan(relief(quadric, np.zeros(len(x)), np.array([100.0]))).all()
 
 
+def test_every_point_of_few_tells_the_relief_whatever_its_number():
+    rng, lengths = np.random.default_rng(4), np.array([1.0, 3.0])
+    points = np.c_[rng.uniform(0.0, 10.0, (400, 2)), rng.normal(0.0, 1.0, 400)]
+    exact = relief(points, np.zeros(400), lengths)
+    for first in (np.roll(np.arange(400), 1), np.arange(400)[::-1], rng.permutation(400)):
+        assert relief(points[first], np.zeros(400), lengths) == pytest.approx(exact, rel=1e-12)
+
+
 def test_above_the_surveys_own_ground_the_places_are_where_it_counts():
     e = estimator(surface_update(hill), volume={})
     v = e.estimate().volume
