@@ -153,6 +153,14 @@ def test_a_corrupt_stamp_ahead_makes_no_later_sample_look_old():
     assert door.finish() == []
 
 
+def test_an_earlier_corrupt_stamp_does_not_confirm_a_later_one():
+    door = Restart()
+    for t_ns in (0, 3600 * S, 1800 * S):
+        door.push("fix", T0 + t_ns, t_ns)
+    for k in range(1, 5):
+        assert door.push("fix", T0 + k * S, k) == (False, [("fix", k)], [])
+
+
 def test_held_samples_come_out_in_the_order_of_arrival():
     door = Restart()
     for topic in "ab":

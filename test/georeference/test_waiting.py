@@ -1,6 +1,7 @@
 """Returns that wait for poses are bounded, and what is lost is counted."""
 
 import numpy as np
+import pytest
 
 from ladar_volume.georeference import georeferencer
 from ladar_volume.model.parameters import GeoreferenceParameters, Parameters
@@ -74,3 +75,19 @@ def test_many_small_clouds_are_bounded_as_well(monkeypatch):
         stage.add_returns(standing(10**12))
     assert stage.pending == 700
     assert stage.losses.as_dict() == {"point_waiting_full": 1300}
+
+
+@pytest.mark.parametrize(
+    ("gaps_s", "jump_s"), [((0.6, 0.15), 10), ((8.0, 0.15), 16), ((0.6, 8.0), 16)]
+)
+def test_a_step_of_time_is_a_jump_beyond_both_gaps_twice_and_ten_seconds(gaps_s, jump_s):
+    S = 10**9
+    given = GeoreferenceParameters(
+        pose_source="odometry", max_position_gap_s=gaps_s[0], max_attitude_gap_s=gaps_s[1]
+    )
+    for more_ns, refused in ((0, 1), (1, 2)):
+        stage = georeferencer.Georeferencer(Parameters(georeference=given))
+        for t_ns in (S, (1 + jump_s) * S + more_ns, 1000 * S):  # nothing confirms the last
+            pose(stage, t_ns)
+        stage.finish()
+        assert stage.losses.as_dict()["odometry_time_jump"] == refused

@@ -5,6 +5,7 @@ coverage of cut and of fill between two clouds.
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -60,6 +61,33 @@ def test_all_is_taken_at_zero_and_nothing_far_from_it():
     smooth = Smooth(tin, h, variance, np.ones(2000, bool), 4)
     far = remaining_fold(smooth, tin.triangles, own[:1].repeat(len(tin.triangles)), 4)
     assert far.fold_m3 < 1e-6 and far.sigma_m3 < 0.1
+
+
+@pytest.mark.parametrize("square", [0.0, 0.5, 0.75, 0.9, 1.5])
+def test_what_the_spread_of_heights_leaves_in_closed_form(square):
+    """Every height at one ratio to its sigma; half of the places without a whole neighbourhood."""
+    n, area, s = 6099, 0.3, 0.2
+    triangles = np.arange(n).reshape(-1, 3)
+    places = 1 + 3 * 4 * 5  # of four rings
+    bump = LEFT * math.sqrt(2.0) * area * s * math.exp(-0.5 * square) * len(triangles)
+    for half in (False, True):
+        rings = np.where(np.arange(n) < n // 6 * 3, 4, 3 if half else 4)
+        smooth = SimpleNamespace(
+            variance=np.full(n, s**2),
+            heights=np.full(n, math.sqrt(square) * s),
+            rings=rings.copy,
+        )
+        found = remaining_fold(smooth, triangles, np.full(len(triangles), area), 4)
+        share = np.mean(rings == 4)
+        mean = (share * places + (1.0 - share) * (1 + 3 * 3 * 4)) * 1.0
+        error = math.sqrt(4.0 / math.sqrt(27.0) * 1.5 / (n / mean))
+        taken = bump * share * (1.0 - min(2.0 * square - 1.0, 1.0))
+        if square >= 0.25:
+            assert found.fold_m3 == pytest.approx(taken, abs=1e-9)
+        else:  # no more than half as much again
+            assert found.fold_m3 == pytest.approx(1.5 * bump * share)
+        doubt = min(max(2.0 * square - 1.0, 0.0) + error, 1.0) * bump * share
+        assert found.sigma_m3 == pytest.approx(math.hypot(doubt, 0.5 * bump * (1.0 - share)))
 
 
 def test_misfits_are_those_of_least_squares():
