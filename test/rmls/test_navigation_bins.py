@@ -102,3 +102,12 @@ def test_fractions_of_neighbours_lie_evenly(axes):
     assert (
         np.abs(u - (np.arange(36) + 0.5) / 36).max() < 0.075
     )  # of 36 random numbers: 0.14 on average
+
+
+def test_distinct_bins_are_those_of_sorted_times():
+    rng = np.random.default_rng(3)
+    for n in (1, 2, 40):
+        t, members = rng.integers(-50, 50, 60) * 700_000_000, rng.permutation(60)[:n]
+        bins = np.zeros(n, np.int64)
+        m = patch_sensitivity.distinct_bins(members.astype(np.int32), n, t, 10**9, bins)
+        assert np.array_equal(bins[:m], np.unique(t[members] // 10**9))

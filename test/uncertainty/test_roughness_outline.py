@@ -174,6 +174,31 @@ def test_triangles_are_spread_over_their_squares():
     )
 
 
+def spread_twin(corners, share, side, cells):
+    """A triangle (3, 2) halved across its longest edge, part by part: shares by square."""
+    edges = [math.dist(corners[k - 2], corners[k - 1]) for k in range(3)]
+    if max(edges) <= side:
+        at = tuple(int(c) for c in np.mean(corners, axis=0) // side)
+        cells[at] = cells.get(at, 0.0) + share
+        return
+    tip = int(np.argmax(edges))  # opposite the longest
+    a, b, middle = corners[tip - 2], corners[tip - 1], (corners[tip - 2] + corners[tip - 1]) / 2
+    for one in (a, b):
+        spread_twin([corners[tip], one, middle], share / 2, side, cells)
+
+
+def test_triangles_are_halved_across_their_longest_edge():
+    rng = np.random.default_rng(12)
+    for k in range(12):
+        r = rng.uniform(0.0, 6.0, (3, 2)) * [1.0, 0.1 if k % 3 else 1.0]  # fat and narrow ones
+        grid_, cells = np.zeros((12, 12)), {}
+        spread_kernel(r, np.array([[0, 1, 2]], np.int32), np.ones(1), np.zeros(2), 0.5, grid_)
+        spread_twin(list(r), 1.0, 0.5, cells)
+        assert {(int(i), int(j)): grid_[i, j] for i, j in zip(*np.nonzero(grid_), strict=True)} == (
+            pytest.approx(cells, rel=1e-12)
+        )
+
+
 def test_a_constant_deviation_cancels_between_inside_and_outside():
     xy = grid(30)
     inside = np.hypot(*(xy - 14.5).T) < 6
