@@ -271,6 +271,23 @@ def test_no_roughness_has_the_shortest_length_whatever_it_was_told_from():
     assert none.length_m == pytest.approx(shortest, rel=1e-12)
 
 
+def test_a_ground_in_other_units_has_the_same_roughness():
+    xy, rng = grid(18, 0.5), np.random.default_rng(21)
+    root = np.linalg.cholesky(
+        np.exp(-np.linalg.norm(xy[:, None] - xy[None], axis=2) / 1.3) + 1e-9 * np.eye(len(xy))
+    )
+    e = 0.02 * root @ rng.standard_normal(len(xy)) + 0.01 * rng.standard_normal(len(xy))
+    one = estimate_roughness(xy, e, np.full(len(xy), 1e-4), 3)
+    assert one.variance_m2 > 1e-4
+    # heights in millimetres, plan in feet: whole factors but for rounding of the lengths tried
+    other = estimate_roughness(xy / 0.3048, 1e3 * e, np.full(len(xy), 1e2), 3)
+    assert other.variance_m2 == pytest.approx(1e6 * one.variance_m2, rel=1e-6)
+    assert (other.length_m, other.spacing_m) == pytest.approx(
+        (one.length_m / 0.3048, one.spacing_m / 0.3048), rel=1e-6
+    )
+    assert other.gaussian == pytest.approx(one.gaussian, abs=1e-6)
+
+
 def test_a_lag_lies_in_the_middle_of_its_pairs():
     edges = lag_edges(grid(30, 0.5), 0.5)
     assert edges[0] == 0.5 and edges[-1] == pytest.approx(0.25 * 29 * math.sqrt(2.0))

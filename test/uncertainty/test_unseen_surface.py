@@ -17,6 +17,7 @@ from ladar_volume.uncertainty.unseen_surface import (
     GapTrial,
     ObservedPoints,
     Prediction,
+    diameter,
     predict_heights,
     predict_integral,
     rim_points,
@@ -152,6 +153,10 @@ def test_a_trial_is_of_mean_heights_whatever_the_size_of_the_gap(size):
     for s, t in zip(a, b, strict=True):
         assert t.unit_m2 == pytest.approx(size**3 * s.unit_m2)
         assert (t.error_m2, t.bulge_m2) == pytest.approx((s.error_m2, s.bulge_m2))
+
+
+def test_a_circle_as_large_as_a_gap():
+    assert diameter(math.pi * 1.5**2) == pytest.approx(3.0)
 
 
 def test_the_factor_and_the_share_that_trials_tell():

@@ -171,6 +171,11 @@ def test_the_printed_sums_have_their_minimum_at_0_64():
     ) == pytest.approx(0.644, abs=5e-4)
 
 
+def test_sums_that_bend_down_have_no_minimum_between_those_tried():
+    for sums in ([1.0, 2.0, 2.5], [2.5, 2.0, 1.0], [2.0, 2.0, 2.0]):
+        assert parabola_minimum(np.array([-0.1, 0.0, 0.1]), np.array(sums)) == 0.0
+
+
 def test_the_printed_rows_are_offset_by_0_6_cm():
     level, a, b = TABLE[:16].T
     sums = offset_sums(level, a, b, np.array([0.4, 0.6, 0.8, 1.0]))
