@@ -226,6 +226,21 @@ def test_scores_are_derivatives_of_the_likelihood():
     assert at.freedom[0] == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.05)
 
 
+def test_a_group_without_effect_tells_nothing_of_itself_nor_of_others():
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(12, 12))
+    y = np.linalg.cholesky(36.0 * A @ A.T + 0.5 * np.eye(12)) @ rng.normal(size=12)
+    alone = variance_components(UnitErrors(y, 0.5, {"a": A @ A.T}))
+    parts = {"a": A @ A.T, "none": np.zeros((12, 12))}
+    with np.errstate(invalid="raise", divide="raise"):
+        both = variance_components(UnitErrors(y, 0.5, parts))
+        at = scores(UnitErrors(y, 0.5, parts), np.ones(2))
+    assert alone["a"].freed and alone["a"].factor > 3.0
+    assert both["a"] == alone["a"]
+    assert both["none"].factor == 1.0 and not both["none"].freed
+    assert at.first[1] == at.ratio[1] == at.freedom[1] == 0.0
+
+
 def test_residuals_that_no_group_explains_are_still_a_doubt():
     made, nav = drawn_rise("", 1.0, 1), flight()[0]
     rough = dataclasses.replace(made, sigma=np.sqrt(made.sigma**2 + 0.05**2))

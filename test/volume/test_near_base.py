@@ -443,6 +443,19 @@ def test_the_tabulated_normal_distribution():
     ]
 
 
+@pytest.mark.parametrize("rings", [1, 2, 4])
+def test_level_ground_is_smoothed_by_as_many_rings_as_asked_for(rings):
+    rng = np.random.default_rng(9)
+    tin = build_tin(np.c_[rng.uniform(0, 10, (300, 2)), np.zeros(300)])
+    wanted = rng.random(300) < 0.6
+    h = np.full(300, 0.4)
+    found = Smooth(tin, h, np.full(300, 0.01), wanted, rings)
+    assert np.array_equal(found.rings(), np.where(wanted, rings, 0))
+    assert found.heights == pytest.approx(h)
+    spread = found.variance[wanted]
+    assert spread.max() < 0.01 and (found.variance[~wanted] == 0.01).all()
+
+
 @pytest.mark.parametrize(
     "truth", [lambda x, y: 0 * x, lambda x, y: np.where(x > 5, 1.0, 0.0), lambda x, y: 0.2 * x * y]
 )
