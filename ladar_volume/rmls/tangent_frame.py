@@ -172,7 +172,10 @@ def _straighten(uvw: F64, m: int, b: F64, ball: float, straight: F64) -> None:
 
 
 @leaf_kernel
-def _normal_plane(near: Near, m: int, weight: F64, A: F64, b: F64) -> None:
+def normal_plane(near: Near, m: int, weight: F64, A: F64, b: F64) -> None:
+    """Normal equations of a plane over the m points inside, with weights (m,): ``XᵀWX`` to A (3, 3)
+    from its diagonal down, ``XᵀWw`` to b (3,).
+    """
     a00 = a10 = a20 = a11 = a21 = a22 = b0 = b1 = b2 = 0.0
     uvw, inside = near.uvw, near.inside
     for i in range(m):
@@ -193,7 +196,8 @@ def _normal_plane(near: Near, m: int, weight: F64, A: F64, b: F64) -> None:
 
 
 @leaf_kernel
-def _normal_quadric(near: Near, straight: F64, m: int, weight: F64, A: F64, b: F64) -> None:
+def normal_quadric(near: Near, straight: F64, m: int, weight: F64, A: F64, b: F64) -> None:
+    """As :func:`normal_plane`, of a quadric to heights ``straight`` (m,): A (6, 6), b (6,)."""
     # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15
     # different sums
     c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -266,10 +270,12 @@ def _off_plane(uvw: F64, m: int, b: F64, off: F64) -> None:
 
 
 @leaf_kernel
-def _distances(
+def distances(
     uvw: F64, residuals: Residuals, m: int, p: int, b: F64, ball: float, threshold: float
 ) -> None:
-    """Residuals of a quadric, p = 6, or a plane."""
+    """Residuals of the m points uvw from the terms b (p,) of a quadric, p = 6, or a plane, to
+    ``residuals.off``, in metres; what lies beyond the quadric's ball is infinitely far.
+    """
     if p == 6:
         _off_quadric(uvw, residuals, m, b, ball, threshold)
     else:
@@ -277,7 +283,7 @@ def _distances(
 
 
 @leaf_kernel
-def _classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, bool]:
+def classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, bool]:
     """Mark the points within ``threshold`` of the model; returns (how many, any change)."""
     used, changed = 0, False
     for i in range(m):
@@ -289,7 +295,7 @@ def _classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, bo
 
 
 @leaf_kernel
-def _square(off: F64, m: int, inside: Bool, weight: F64) -> float:
+def weighted_square(off: F64, m: int, inside: Bool, weight: F64) -> float:
     """Weighted sum of the squared residuals of the points marked inside."""
     square = 0.0
     for i in range(m):
@@ -353,19 +359,19 @@ def refit(
             # noise-free input: from the second step on above the rounding of coordinates
             rounding = 1e-7 * ball if step > 1 else 0.0
             threshold = max(rule.sigmas * sigma, rule.floor, rounding)
-            _distances(near.uvw, residuals, m, p, b, ball, threshold)
-            used, changed = _classify(residuals.off, m, threshold, inside)
+            distances(near.uvw, residuals, m, p, b, ball, threshold)
+            used, changed = classify(residuals.off, m, threshold, inside)
             if used <= p:
                 return 0, sigma
             balance(thinning, m, inside)
-            sigma = np.sqrt(_square(residuals.off, m, inside, weight) / (used - p))
+            sigma = np.sqrt(weighted_square(residuals.off, m, inside, weight) / (used - p))
             if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
         if p == 6:
             _straighten(near.uvw, m, b, ball, straight)
-            _normal_quadric(near, straight, m, weight, A, right)
+            normal_quadric(near, straight, m, weight, A, right)
         else:
-            _normal_plane(near, m, weight, A, right)
+            normal_plane(near, m, weight, A, right)
         shift = _solve(p, A, right, terms.inverse, b)
         if shift < 0.0:
             return 0, sigma
@@ -381,7 +387,7 @@ def mark_flat(uvw: F64, m: int, threshold: float, inside: Bool) -> None:
 
 
 @kernel
-def _lay_on_plane(origin: F64, beta: F64, frame: Frame) -> None:
+def lay_on_plane(origin: F64, beta: F64, frame: Frame) -> None:
     """Turn a frame into the plane beta over it, and move it to the foot point of ``origin``."""
     centre, normal, tangent, new = frame.centre, frame.normal, frame.tangent, np.empty(3)
     t0, t1, t2 = tangent[0], tangent[1], tangent[2]
@@ -431,7 +437,7 @@ def level_frame(
         used, sigma = refit(near, m, 3, sigma, rule, unthinned(m), terms)
         if used == 0:
             return -1.0
-        _lay_on_plane(origin, beta, frame)
+        lay_on_plane(origin, beta, frame)
         if abs(beta[1]) + abs(beta[2]) < 1e-6:
             break
     tangent_of(normal, tangent)

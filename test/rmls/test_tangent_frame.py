@@ -94,7 +94,7 @@ def test_a_frame_is_laid_on_a_plane_below_its_origin(seed):
     kernels.move_to_surface(*moved, beta)
     assert moved.centre == pytest.approx(through) and moved.normal == pytest.approx(upward)
     assert np.array_equal(moved.tangent, frame.tangent)
-    kernels._lay_on_plane(origin, beta, frame)
+    kernels.lay_on_plane(origin, beta, frame)
     assert frame.normal == pytest.approx(upward)
     assert frame.centre == pytest.approx(origin - upward * ((origin - through) @ upward))
 
@@ -113,9 +113,9 @@ def test_normal_equations_are_those_of_the_rows_inside():
     for p in (3, 6):
         A, b, own = np.zeros((6, 6)), np.zeros(6), X[:, :p]
         if p == 6:
-            kernels._normal_quadric(near, near.uvw[2], n, weight, A, b)
+            kernels.normal_quadric(near, near.uvw[2], n, weight, A, b)
         else:
-            kernels._normal_plane(near, n, weight, A, b)
+            kernels.normal_plane(near, n, weight, A, b)
         assert np.tril(A[:p, :p]) == pytest.approx(np.tril(own.T @ (W[:, None] * own)))
         assert b[:p] == pytest.approx(own.T @ (W * near.uvw[2]))
 
@@ -124,9 +124,9 @@ def test_distances_are_across_the_surface_within_a_ball_about_the_foot():
     near, _, X = some_points(300)
     b, ball, sigma = np.array([0.1, -0.5, 0.3, 0.0, 0.0, 0.0]), 2.0, 0.2
     off = kernels.Residuals(near.uvw[2].copy(), np.empty(300))
-    kernels._distances(near.uvw, off, 300, 3, b, ball, sigma)
+    kernels.distances(near.uvw, off, 300, 3, b, ball, sigma)
     assert off.off == pytest.approx(np.abs(near.uvw[2] - X[:, :3] @ b[:3]))  # along the normal
-    kernels._distances(near.uvw, off, 300, 6, b, ball, sigma)
+    kernels.distances(near.uvw, off, 300, 6, b, ball, sigma)
     # of a plane w = b0 + (b1 u + b2 v) / ball in metres: the foot by linear algebra
     points, normal = near.uvw.T * [ball, ball, 1.0], np.array([-b[1] / ball, -b[2] / ball, 1.0])
     away = (points @ normal - b[0]) / (normal @ normal)
@@ -138,11 +138,13 @@ def test_distances_are_across_the_surface_within_a_ball_about_the_foot():
 
 def test_what_is_within_a_threshold_and_whether_that_is_new():
     off, inside = np.array([0.1, 0.5, 0.3, np.inf]), np.zeros(4, bool)
-    assert kernels._classify(off, 4, 0.3, inside) == (2, True)
+    assert kernels.classify(off, 4, 0.3, inside) == (2, True)
     assert list(inside) == [True, False, True, False]
-    assert kernels._classify(off, 4, 0.4, inside) == (2, False)
-    assert kernels._classify(off, 4, 0.2, inside) == (1, True)
-    assert kernels._square(off, 3, inside, np.array([3.0, 5.0, 7.0, 9.0])) == pytest.approx(0.03)
+    assert kernels.classify(off, 4, 0.4, inside) == (2, False)
+    assert kernels.classify(off, 4, 0.2, inside) == (1, True)
+    assert kernels.weighted_square(off, 3, inside, np.array([3.0, 5.0, 7.0, 9.0])) == pytest.approx(
+        0.03
+    )
 
 
 def test_a_return_on_the_patch_has_no_residual():
