@@ -24,7 +24,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner
 from ladar_volume.volume.base import base_and_outline, polygon_of
-from ladar_volume.volume.near_base import REACH, NearBase, near_base
+from ladar_volume.volume.near_base import REACH, NearBase, WholeFold, near_base
 from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.overlay import volumes_between
 from ladar_volume.volume.polygon import clipped_prismoids
@@ -48,7 +48,7 @@ class Solid:
     fill_m3: float
     area_m2: float
     gradients: tuple[tuple[CloudSurface, F64], ...]
-    correction: NearBase | None
+    correction: WholeFold | None
     curved_m6: float
     extra: dict[str, float] = field(default_factory=dict)
 
@@ -93,6 +93,15 @@ def corrected_volume(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
             columns = np.c_[gradient, gradient[:, 1] - gradient[:, 0]]
             for name, line in surface.shared_lines(columns).items():
                 shared[name] = shared.get(name, np.zeros(3)) + line
+    return with_noise(solid, total, shared, base, same_survey)
+
+
+def with_noise(
+    solid: Solid, total: F64, shared: dict[str, F64], base: str, same_survey: bool
+) -> CloudVolume:
+    """The same from the variances (3,) m⁶ of net, cut and fill by the noise of the points, and by
+    what they share.
+    """
     extra = sum(solid.extra.values()) + sum(shared.values())
     net, cut, fill = np.sqrt(
         np.maximum(total + extra + [0.0, solid.curved_m6, solid.curved_m6], 0.0)
@@ -219,7 +228,7 @@ def solid_above(
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.representation.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole, selected=has_selected_vertices(surface))
-        curved = near.curved_m6 + near.remaining.sigma_m3**2
+        curved = near.variance_m6
         cut = cut if by_polygon else near.gradient_cut
     gradient, extra = np.stack([net, cut], axis=1), dict[str, float]()
     if len(base.support):
@@ -252,7 +261,7 @@ def between_clouds(
     if correct and upper.sigma_m is not None and lower.sigma_m is not None:
         near, shares = near_difference(upper, lower)
         if near is not None:
-            curved = near.curved_m6 + near.remaining.sigma_m3**2
+            curved = near.variance_m6
             cut = [
                 np.where(np.isfinite(share), share * g, c)
                 for share, g, c in zip(shares, net, cut, strict=True)

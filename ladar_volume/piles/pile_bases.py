@@ -207,7 +207,7 @@ def solid_above_toe(
                 mask,
                 selected=has_selected_vertices(part.surface),
             )
-            curved = near.curved_m6 + near.remaining.sigma_m3**2
+            curved = near.variance_m6
     gradients = ((part.surface, np.column_stack([net.gradient, cut])),)
     lines = dict(net.extra)
     return Solid(found.cut_m3, found.fill_m3, found.area_m2, gradients, near, curved, lines)

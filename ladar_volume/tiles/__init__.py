@@ -4,6 +4,6 @@ Public:
 
 - ``tile_store``: a LAS, LAZ or COPC file dealt out into tiles on disk, part by part.
 - ``tile_stars``: the triangles round a tile's points, as they are in the whole triangulation.
-- ``tile_volume``: cut, fill and gradients of a tile, and their sums.
-- ``tile_work``: the work of all tiles, in this process or on Dask; what is done is not done again.
+- ``tiled_volume``: the volume of all tiles above a level, a plane, or their ground.
+- ``tile_work``: the work of all tiles, in this process or on Dask.
 """

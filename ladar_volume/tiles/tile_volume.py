@@ -1,146 +1,207 @@
-"""Cut, fill and net volume of one tile above a level or a plane, and the sums of all tiles.
+"""What one tile gives to the volume above a level, a plane, or a ground of the same cloud.
 
 Each triangle is counted in one tile. The gradient by a vertex' height is complete in the tile that
-the vertex lies in, since that tile knows all triangles round its vertices: nothing is exchanged,
-and variances add up. They are those of :mod:`ladar_volume.clouds.cloud_volume` for a surface of all
-points, without its correction near the base.
+the vertex lies in, since that tile knows all triangles round its vertices: variances add up.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.clouds.cloud_noise import cloud_noise
-from ladar_volume.clouds.cloud_volume import CloudVolume
-from ladar_volume.ground.polynomial import design_surface, height_above
-from ladar_volume.model.errors import SurfaceError, VolumeError
-from ladar_volume.model.records import F64, Bool
-from ladar_volume.tiles.tile_stars import TileStars
+from ladar_volume.ground.polynomial import degree_of, design, height_above
+from ladar_volume.model.records import F64, Bool, Plane
+from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_fit import VertexSelection, vertices
+from ladar_volume.tiles.tile_near import NearSums, add_cut, near_sums
+from ladar_volume.tiles.tile_patch import inside_of
+from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.relevant import relevant_triangles
-from ladar_volume.volume.near_base import near_triangles
+from ladar_volume.uncertainty.ground_field import OCCUPIED, spread_kernel, squares_grid
 from ladar_volume.volume.prismoids import prismoids
 
 
 @dataclass(frozen=True)
-class TileTask:
-    """What is asked of every tile.
-
-    base : coefficients of the base, one for a level, three for a plane, m · relevant : which
-    triangles count, with the limits ``max_edge_m`` and ``max_circumdiameter_m`` · sigma_m :
-    standard deviation of the heights, None where it is to be estimated tile by tile
+class Above:
+    """What is asked of each tile: the base, where the triangles inside the outline are at rest
+    (None: all that count), standard deviation of the heights, m, NaN where it is not known; where
+    the derivatives near the base are to be at rest, None for no correction there.
     """
 
-    base: tuple[float, ...]
-    relevant: str = "all"
-    max_edge_m: float = math.inf
-    max_circumdiameter_m: float = math.inf
-    sigma_m: float | None = None
+    base: Plane
+    folder: Path | None
+    sigma_m: float
+    near: Path | None = None
 
 
 @dataclass(frozen=True)
 class TileSums:
-    """What a tile gives to the whole.
-
-    points, vertices, triangles : counted in it · cut_m3, fill_m3, area_m2 · squares_m4 :
-    sums of the squared gradients of net, cut and fill by the heights of its vertices · sigma_m : of
-    these heights, None where it is not known · near_m2 : area within reach of the noise of the base
-    · rounds : how often it was triangulated
+    """cut_m3, fill_m3, area_m2 : of the tile's triangles · by_beta : (p, 2) derivatives of
+    net and cut by the coefficients of the base · box : (4,) of its triangles, infinite for none ·
+    near : what it gives to the correction near the base, None for nothing · points, vertices,
+    triangles, rounds : counts
     """
 
-    points: int
-    vertices: int
-    triangles: int
     cut_m3: float
     fill_m3: float
     area_m2: float
-    squares_m4: tuple[float, float, float]
-    sigma_m: float | None
-    near_m2: float
+    by_beta: F64
+    box: F64
+    near: NearSums | None
+    points: int
+    vertices: int
+    triangles: int
     rounds: int
 
 
-def noise_of_tile(points: F64) -> float | None:
-    """Standard deviation, m, of the heights of points (n, 3); None where they are too few."""
-    try:
-        return cloud_noise(points).sigma_m
-    except SurfaceError:
-        return None
-
-
-def tile_sums(stars: TileStars, points: F64, task: TileTask) -> TileSums:
-    """The sums of a tile with points (n, 3) m."""
-    tin, base = stars.tin, design_surface(list(task.base))
-    sigma = task.sigma_m if task.sigma_m is not None else noise_of_tile(points)
-    counts = relevant_triangles(tin, task.relevant, task.max_edge_m, task.max_circumdiameter_m)
-    own, star = stars.counted & counts, stars.star & counts
-    cut = fill = area = near = 0.0
-    squares = (0.0, 0.0, 0.0)
-    if own.any():
-        solid = prismoids(tin, base, own)
+def tile_sums(of: TiledCloud, tile: Tile, above: Above) -> TileSums:
+    """The sums of a tile."""
+    surface, base = surface_of(of.index, of.limits, tile), above.base
+    tin = surface.tin
+    inside = inside_of(surface, tile, above.folder)
+    counted, n = inside & surface.counted, len(base.beta)
+    cut = fill = area = 0.0
+    by_beta, box = np.zeros((n, 2)), np.array([np.inf, np.inf, -np.inf, -np.inf])
+    if counted.any():
+        solid = prismoids(tin, base, counted)
         cut, fill, area = solid.cut_m3, solid.fill_m3, solid.area_m2
-        near = near_area(stars, own, height_above(tin.vertices, base), sigma)
-    if star.any():
-        round_own = prismoids(tin, base, star)
-        g = (round_own.gradient_net, round_own.gradient_cut, round_own.gradient_fill)
-        net_m4, cut_m4, fill_m4 = (
-            float((each[stars.own, 2] ** 2 / stars.shared[stars.own]).sum()) for each in g
-        )
-        squares = (net_m4, cut_m4, fill_m4)
+        by_beta[:, 0] = solid.base_net
+        xy = tin.vertices[tin.triangles[counted], :2].reshape(-1, 2)
+        box = np.concatenate([xy.min(axis=0), xy.max(axis=0)])
+    near = None
+    if above.near is not None:
+        asked = (base, above.sigma_m, above.folder, above.near)
+        near = near_sums(of, tile, surface, asked)
+    if near is not None:
+        by_beta[:, 1] = near.by_beta
+    elif inside.any():
+        at = design(tin.vertices[surface.own, :2], base.origin_xy, degree_of(base))
+        by_beta[:, 1] = -at.T @ gradients(surface, base, inside)[:, 1]
     return TileSums(
-        len(points),
-        int(np.count_nonzero(stars.own)),
-        int(np.count_nonzero(own)),
         cut,
         fill,
         area,
-        squares,
-        sigma,
+        by_beta,
+        box,
         near,
-        stars.rounds,
+        surface.points,
+        int(np.count_nonzero(surface.own)),
+        int(np.count_nonzero(counted)),
+        surface.rounds,
     )
 
 
-def near_area(stars: TileStars, own: Bool, height: F64, sigma: float | None) -> float:
-    """Area, m², of the tile's triangles that the noise may carry across the base."""
-    if not sigma:
-        return 0.0
-    triangles = stars.tin.triangles[own]
-    near = near_triangles(triangles, height, sigma**2 / stars.shared)
-    return float(footprint_areas(stars.tin.vertices, triangles)[near].sum())
-
-
-def whole_volume(tiles: Iterable[TileSums], base: str) -> CloudVolume:
-    """The volume of all tiles; sums are exactly rounded, so the order of the tiles is no matter.
-    Where a tile cannot tell its noise, the largest of the others is taken. Raises
-    :class:`VolumeError` where no triangle counts.
+def gradients(surface: TileSurface, base: Plane, inside: Bool) -> F64:
+    """Derivatives (k, 2) of net and cut by the heights of the tile's own vertices, the base held
+    fixed, without what the noise near it does.
     """
-    every = list(tiles)
-    if not any(t.triangles for t in every):
-        raise VolumeError("no triangle counts: widen the limit", reason="volume_no_triangle")
-    known = [t.sigma_m for t in every if t.sigma_m is not None]
-    other = max(known) if known else math.nan
-    weight = [(other if t.sigma_m is None else t.sigma_m) ** 2 for t in every]
-    net, cut, fill = (
-        math.fsum(w * t.squares_m4[k] for w, t in zip(weight, every, strict=True)) for k in range(3)
-    )
-    cut_m3, fill_m3 = math.fsum(t.cut_m3 for t in every), math.fsum(t.fill_m3 for t in every)
-    return CloudVolume(
-        cut_m3,
-        fill_m3,
-        cut_m3,
-        fill_m3,
-        0.0 if known else math.nan,
-        math.fsum(t.near_m2 for t in every),
-        math.sqrt(net),
-        math.sqrt(cut),
-        math.sqrt(fill),
-        math.fsum(t.area_m2 for t in every),
-        base,
-        False,
-        {"noise": net},
-    )
+    if not inside.any():
+        return np.zeros((int(np.count_nonzero(surface.own)), 2))
+    found = prismoids(surface.tin, base, inside)
+    both = [g[surface.own, 2] for g in (found.gradient_net, found.gradient_cut)]
+    return np.stack(both, axis=1)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """near : whether the derivatives of cut of a tile are at rest · tiles : those that give
+    something to it
+    """
+
+    near: bool
+    tiles: list[Tile]
+
+
+def squares(
+    of: TiledCloud,
+    tile: Tile,
+    above: Above,
+    beside: Beside,
+    chosen: VertexSelection | None,
+    by_sums: F64,
+) -> F64:
+    """Sums of the squared derivatives of net, cut and fill by the heights of the tile's points (3,)
+    m⁴: through the surface, and through the ground. chosen : what that was fitted to, if to any ·
+    by_sums : (p, 2) derivatives of net and cut by the sums ``Xᵀz``
+    """
+    surface = surface_of(of.index, of.limits, tile)
+    g = gradients(surface, above.base, inside_of(surface, tile, above.folder))
+    if above.near is not None:
+        xy = surface.tin.vertices[surface.own, :2]
+        g[:, 1] = add_cut(tile, above.near, xy, g[:, 1], beside.near, beside.tiles)
+    if chosen is not None:
+        some, weight = support_of(of, tile, surface, chosen, by_sums)
+        g[some] += weight
+    columns = np.c_[g, g[:, 1] - g[:, 0]]
+    return np.asarray((columns**2 / surface.shared[surface.own, None]).sum(axis=0))
+
+
+def support_of(
+    of: TiledCloud, tile: Tile, surface: TileSurface, chosen: VertexSelection, by_sums: F64
+) -> tuple[Bool, F64]:
+    """Which of the tile's own vertices (k,) the ground was fitted to, and the derivatives (s, j) of
+    results by their heights through it.
+    """
+    xyz, _, row = vertices(of, tile, chosen.ring)
+    mask = chosen.mask(xyz, row)
+    some = np.isin(surface.row[surface.own], row[mask])
+    xy = surface.tin.vertices[surface.own, :2][some]
+    degree = (1, 3, 6, 10).index(len(by_sums))
+    return some, design(xy, np.array(chosen.origin_xy), degree) @ by_sums
+
+
+def field_facts(
+    of: TiledCloud, tile: Tile, base: Plane, chosen: VertexSelection, by_sums: F64
+) -> F64:
+    """Of the tile's part of the ground: box (4,), number of points, sums of their squared
+    residuals, m², of 1 / points at each, and of their squared weights, m⁴: (8,).
+    """
+    xyz, shared, row = vertices(of, tile, chosen.ring)
+    mask = chosen.mask(xyz, row)
+    xyz, shared = xyz[mask], shared[mask]
+    if not len(xyz):
+        return np.array([np.inf, np.inf, -np.inf, -np.inf, 0.0, 0.0, 0.0, 0.0])
+    r = height_above(xyz, base)
+    w = design(xyz[:, :2], base.origin_xy, degree_of(base)) @ by_sums
+    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    return np.array([*low, *high, len(xyz), r @ r, (1.0 / shared).sum(), w @ w])
+
+
+def points_per_square(
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, low: F64, side: float
+) -> F64:
+    """How many points of the ground lie on each square (OCCUPIED + 1,) of a side from ``low``."""
+    xyz, _, row = vertices(of, tile, chosen.ring)
+    xy = xyz[chosen.mask(xyz, row), :2]
+    shape = (OCCUPIED + 1, OCCUPIED + 1)
+    return np.asarray(squares_grid(np.ascontiguousarray(xy), np.ones(len(xy)), low, side, shape))
+
+
+@dataclass(frozen=True)
+class Squares:
+    """low : (2,) m corner · side : m · shape : how many"""
+
+    low: F64
+    side: float
+    shape: tuple[int, int]
+
+
+def field_grid(
+    of: TiledCloud, tile: Tile, above: Above, chosen: VertexSelection, by_sums: F64, grid: Squares
+) -> F64:
+    """Weights, m², with which the deviation of the ground enters the volume, by squares: at the
+    points of the ground, and with the area inside the outline.
+    """
+    xyz, _, row = vertices(of, tile, chosen.ring)
+    xy = np.ascontiguousarray(xyz[chosen.mask(xyz, row), :2])
+    w = design(xy, above.base.origin_xy, degree_of(above.base)) @ by_sums
+    out = np.asarray(squares_grid(xy, w, grid.low, grid.side, grid.shape))
+    surface = surface_of(of.index, of.limits, tile)
+    tin = surface.tin
+    counted = inside_of(surface, tile, above.folder) & surface.counted
+    area = np.where(counted, footprint_areas(tin.vertices, tin.triangles), 0.0)
+    spread_kernel(tin.vertices, tin.triangles, area, grid.low, grid.side, out)
+    return out

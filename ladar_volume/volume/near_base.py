@@ -62,27 +62,41 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class NearBase(Fold):
+class WholeFold(Fold):
+    """curved_m6 : second-order part of the variances of cut and of fill · remaining : what the
+    correction leaves in both, see :mod:`remaining_fold`
+    """
+
+    curved_m6: float
+    remaining: RemainingFold
+
+    def removed_m3(self, cut_m3: float, fill_m3: float) -> float:
+        """What is taken, m³, with what the correction leaves: neither volume becomes negative."""
+        return min(self.correction_m3 + self.remaining.fold_m3, cut_m3, fill_m3)
+
+    @property
+    def variance_m6(self) -> float:
+        """What the fold adds to the variances of cut and of fill: its curvature, and that what the
+        correction leaves is not known.
+        """
+        return self.curved_m6 + self.remaining.sigma_m3**2
+
+
+@dataclass(frozen=True)
+class NearBase(WholeFold):
     """near : (m,) bool, triangles the correction comes from, among the chosen ones ·
     variance_cut_m6, variance_fill_m6, variance_net_m6 : of the volumes of all chosen triangles, for
-    the given covariance of the heights · curved_m6 : the second-order part of the first two ·
-    gradient_cut, gradient_net : (n,) m² mean derivatives by the vertex heights, to be used where
-    first-order propagation would take a triangle to be wholly cut or wholly fill · remaining :
-    what the correction leaves in both, see :mod:`remaining_fold`
+    the given covariance of the heights, the first two with ``curved_m6`` · gradient_cut,
+    gradient_net : (n,) m² mean derivatives by the vertex heights, to be used where first-order
+    propagation would take a triangle to be wholly cut or wholly fill
     """
 
     near: Bool
     variance_cut_m6: float
     variance_fill_m6: float
     variance_net_m6: float
-    curved_m6: float
     gradient_cut: F64
     gradient_net: F64
-    remaining: RemainingFold
-
-    def removed_m3(self, cut_m3: float, fill_m3: float) -> float:
-        """What is taken, m³, with what the correction leaves: neither volume becomes negative."""
-        return min(self.correction_m3 + self.remaining.fold_m3, cut_m3, fill_m3)
 
 
 @parallel_kernel
@@ -154,7 +168,7 @@ def fold(
     return Fold(total, float(area.sum()))
 
 
-def _loads(height: F64, t: I32, area: F64, near: Bool, slope_near: F64) -> tuple[F64, F64]:
+def loads(height: F64, t: I32, area: F64, near: Bool, slope_near: F64) -> tuple[F64, F64]:
     """Gradients (n,) m² of cut and net volume by the vertex heights (n,) m above the base: for
     triangles near it with the mean derivatives (k, 3), for the others among t (m, 3) of areas (m,)
     m² with their sign.
@@ -193,21 +207,19 @@ def near_base(
     own, close = part.vertex, part.close
     C_own, sums = _covariance_of(joint, own, summed)
     smooth = smooth_heights(part.tin, h[own], C_own.diagonal(), close, rings, sums)
-    found = np.empty((len(close), 13))
-    for some, at in blocks(smooth, close, node_covariances(C_own, close)):
-        found[some] = moments(*at)
-    cut, net = _loads(h, t, area, near, found[:, 1:4])
+    found = all_moments(smooth, close, node_covariances(C_own, close))
+    cut, net = loads(h, t, area, near, found[:, 1:4])
     cut[own] -= smooth.adjoint(load(found[:, 4:7], close_area, close, len(own)))
     curvature = close_area[:, None] * found[:, 7:]
     curved = second_order(curvature, close, smooth.start, smooth.link, C_own)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
-    variances = first[0] + curved, first[1] + curved, first[2], curved
+    variances = first[0] + curved, first[1] + curved, first[2]
     left = remaining_fold(smooth, close, close_area, rings)
     total = float(close_area @ found[:, 0])
     if wider > 1.0:
         packed = node_covariances(C_own, close)
         left = left.with_scatter(total - _with_more_noise(smooth, close, close_area, packed, wider))
-    return NearBase(total, float(close_area.sum()), near, *variances, cut, net, left)
+    return NearBase(total, float(close_area.sum()), curved, left, near, *variances, cut, net)
 
 
 def _covariance_of(joint: SparseF64, own: I64, summed: F64 | None) -> tuple[SparseF64, F64]:
@@ -318,6 +330,14 @@ def moments(mu: F64, s: F64, noise: F64) -> F64:
     out[:, 4:7] = 2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]
     out[:, 1:4], out[:, 7:] = once[:, 1:4], once[:, 4:]
     return out
+
+
+def all_moments(smooth: Smooth, triangles: I32, packed: F64) -> F64:
+    """:func:`moments` (m, 13) of triangles (m, 3) with node covariances, packed (m, 6)."""
+    found = np.empty((len(triangles), 13))
+    for some, at in blocks(smooth, triangles, packed):
+        found[some] = moments(*at)
+    return found
 
 
 def near_levels(

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.volume.neighbourhood import Smooth, grow
 
 #: What is left per area and standard deviation of the smoothed height, where the truth is zero.
@@ -50,18 +50,36 @@ def remaining_fold(smooth: Smooth, triangles: I32, area: F64, rings: int) -> Rem
     """What is left over triangles (m, 3) of areas (m,) m² near the base; ``rings`` : of a whole
     neighbourhood.
     """
+    return fold_of_sums(fold_sums(smooth, triangles, area, rings))
+
+
+def fold_sums(
+    smooth: Smooth, triangles: I32, area: F64, rings: int, counted: Bool | None = None
+) -> F64:
+    """Sums (5,) over the ``counted`` (n,) vertices, None for all, of what :func:`remaining_fold`
+    takes: what may be left where neighbourhoods are whole, and where they ended, m³; members of
+    neighbourhoods and their number; the first weighted with the squares.
+    """
     s, grown = np.sqrt(smooth.variance), smooth.rings()
     ratio = np.divide(smooth.heights, s, out=np.full(len(s), np.inf), where=s > 0.0)
     square = np.minimum(ratio**2, 1e3)
     own = np.bincount(triangles.ravel(), np.repeat(area / 3.0, 3), len(s))
+    if counted is not None:
+        own[~counted] = 0.0
     left = LEFT * math.sqrt(2.0) * own * s * np.exp(-0.5 * square)
-    whole = grown == rings
-    fold, ended = float(left[whole].sum()), float(left[~whole].sum())
+    whole, some = grown == rings, grown[own > 0.0]
+    members = (1 + 3 * some * (some + 1)).sum()
+    of_squares = (left * square)[whole].sum()
+    return np.array([left[whole].sum(), left[~whole].sum(), members, len(some), of_squares])
+
+
+def fold_of_sums(sums: F64) -> RemainingFold:
+    """:func:`remaining_fold` from :func:`fold_sums`."""
+    fold, ended, members, count, of_squares = sums.tolist()
     if not fold > 0.0:
         return RemainingFold(0.0, 0.5 * ended)
-    members = float(np.mean(1 + 3 * grown[own > 0.0] * (grown[own > 0.0] + 1)))
-    independent = max(float(np.count_nonzero(own)) / members, 1.0)
-    spread = 2.0 * float((left * square)[whole].sum()) / fold - 1.0
+    independent = max(count**2 / members, 1.0)
+    spread = 2.0 * of_squares / fold - 1.0
     error = math.sqrt(OF_SPREAD / independent)
     taken = fold * (1.0 - min(max(spread, -0.5), 1.0))
     return RemainingFold(taken, math.hypot(min(max(spread, 0.0) + error, 1.0) * fold, 0.5 * ended))

@@ -1,5 +1,7 @@
 """Clouds as LAZ files, and their volume by tiles and at once."""
 
+import dataclasses
+
 import laspy
 import numpy as np
 import pytest
@@ -11,8 +13,9 @@ from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tiles.tile_store import parts_of_file
-from ladar_volume.tiles.tile_volume import TileTask, whole_volume
-from ladar_volume.tiles.tile_work import OwnProcess, sums_of_cloud
+from ladar_volume.tiles.tile_surface import Limits
+from ladar_volume.tiles.tile_work import OwnProcess
+from ladar_volume.tiles.tiled_volume import VolumeTask, volume_by_tiles
 
 SIGMA = 0.02
 LEVEL = 10.5
@@ -54,22 +57,23 @@ def write(path, xy, seed=1):
     return path
 
 
-def by_tiles(path, folder, tile_m, task=None, workers=None, part=7000):
+def by_tiles(path, folder, tile_m, limits=None, workers=None, part=7000, correct=True, **volume):
+    """The volume by tiles above a level or a plane."""
     cloud = parts_of_file(path, folder, tile_m, Reading(), part)
-    task = task or TileTask((LEVEL,), sigma_m=SIGMA)
-    found = sums_of_cloud(cloud, task, workers or OwnProcess())
-    return found, whole_volume(found.sums, "level")
+    chosen = VolumeParameters(**({"base": "level", "level_m": LEVEL} | volume), outline="all")
+    task = VolumeTask(limits or Limits(), Parameters(volume=chosen), SIGMA, correct)
+    return volume_by_tiles(cloud, task, workers or OwnProcess())
 
 
-def at_once(path, option="all", limit=None, **volume):
+def at_once(path, option="all", limit=None, correct=True, **volume):
     limits = {} if limit is None else {f"max_{option}_m".replace("circle", "circum"): limit}
     options = SurfaceParameters(ratio=1.0, relevant=option, **limits)
     surface = cloud_surface(read_cloud(path).r, options, SIGMA)
     chosen = VolumeParameters(**({"base": "level", "level_m": LEVEL} | volume), outline="all")
-    return surface, above_base(surface, Parameters(volume=chosen), correct=False)[0]
+    return surface, above_base(surface, Parameters(volume=chosen), correct)[0]
 
 
 def same(a, b):
-    names = ("cut_m3", "fill_m3", "net_m3", "area_m2", "sigma_m3", "sigma_cut_m3", "sigma_fill_m3")
-    for name in names:
-        assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-9), name
+    for name, value in dataclasses.asdict(b).items():
+        if isinstance(value, float | dict):
+            assert getattr(a, name) == pytest.approx(value, rel=1e-9), name

@@ -18,10 +18,10 @@ from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import GroundParameters, Parameters, VolumeParameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tiles import tiled_ground
-from ladar_volume.tiles.ground_volume import above_ground
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_surface import Limits
 from ladar_volume.tiles.tile_work import OwnProcess
+from ladar_volume.tiles.tiled_volume import VolumeTask, volume_by_tiles
 
 
 def yard(path, n, seed, copies=0):
@@ -41,20 +41,21 @@ def yard(path, n, seed, copies=0):
     return path
 
 
-def both(path, folder, tile_m, limits=None, ground=None, part=1500, whole=True, **volume):
+def both(
+    path, folder, tile_m, limits=None, ground=None, part=1500, whole=True, correct=True, **volume
+):
     limits = limits or Limits()
     p = Parameters(
         volume=VolumeParameters(base="ground", **volume), ground=GroundParameters(**(ground or {}))
     )
     cloud = parts_of_file(path, folder, tile_m, Reading(), part)
-    found = above_ground(cloud, limits, p, SIGMA, OwnProcess())
+    found = volume_by_tiles(cloud, VolumeTask(limits, p, SIGMA, correct), OwnProcess())
     if not whole:
         return found
     options = SurfaceParameters(ratio=1.0, **dataclasses.asdict(limits))
     surface = cloud_surface(read_cloud(path).r, options, SIGMA)
-    whole, base, _ = above_base(surface, p, correct=False)
+    whole, base, _ = above_base(surface, p, correct)
     same(found.volume, whole)
-    assert found.volume.budget_m6 == pytest.approx(whole.budget_m6, rel=1e-9)
     assert found.base.beta == pytest.approx(base.beta, rel=1e-9, abs=1e-12)
     return found
 
@@ -64,12 +65,14 @@ def both(path, folder, tile_m, limits=None, ground=None, part=1500, whole=True, 
     [
         (14.3, {}),
         (30.0, {"outline": "all", "ground": {"degree": 2}}),
-        (1000.0, {"bodies": 0, "limits": Limits("edge", max_edge_m=1.5)}),
+        (1000.0, {"bodies": 0, "limits": Limits("edge", max_edge_m=1.5), "copies": 0}),
         (17.0, {"ground_ring_m": 0.0, "ground": {"threshold_m": 0.05}}),
+        (30.0, {"correct": False}),
     ],
 )
 def test_tiles_give_the_ground_and_the_volume_of_one_process(tmp_path, tile_m, more):
-    path = yard(tmp_path / "yard.laz", 4000, 3, copies=200)
+    more = dict(more)
+    path = yard(tmp_path / "yard.laz", 4000, 3, copies=more.pop("copies", 200))
     found = both(path, tmp_path / "store", tile_m, **more)
     assert found.volume.net_m3 > 100
 
@@ -97,7 +100,7 @@ def test_ranks_are_told_block_by_block():
 def test_the_verb_volume_by_tiles(tmp_path, capsys):
     path = yard(tmp_path / "yard.laz", 2000, 5)
     words = ["volume", str(path), "--base", "ground", "--sigma", str(SIGMA), "--json"]
-    plain = ["--clean", "off", "--relevant", "all", "--no-correction"]
+    plain = ["--clean", "off", "--relevant", "all"]
     assert main(words + plain) in (0, 3)
     whole = json.loads(capsys.readouterr().out)
     assert main([*words, *plain, "--tile", "25", "--store", str(tmp_path / "store")]) == 0
@@ -110,7 +113,7 @@ def test_the_verb_volume_by_tiles(tmp_path, capsys):
     for line in ("noise", "base_surface"):
         assert tiled["budget_m6"][line] == pytest.approx(whole["budget_m6"][line], rel=1e-9)
     assert main([*words, "--tile", "25"]) == 2
-    assert "--clean off, --no-correction, --relevant all" in capsys.readouterr().err
+    assert "give --clean off, --relevant all" in capsys.readouterr().err
     assert main([*words, *plain, "--tile", "25", "--piles", "found"]) == 2
     assert "--piles is not done by tiles" in capsys.readouterr().err
     assert main([*words, *plain, "--workers", "2"]) == 2

@@ -4,8 +4,6 @@ import laspy
 import numpy as np
 import pytest
 from tiled_clouds import (
-    LEVEL,
-    SIGMA,
     at_once,
     by_tiles,
     clustered,
@@ -19,8 +17,7 @@ from tiled_clouds import (
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
 from ladar_volume.tiles.tile_store import parts_of_file, tile_index
-from ladar_volume.tiles.tile_volume import TileTask
-from ladar_volume.tiles.tile_work import result_path
+from ladar_volume.tiles.tile_surface import Limits, surface_path
 
 
 @pytest.mark.parametrize("kind", [random, gridded, clustered, on_lines], ids=lambda k: k.__name__)
@@ -28,8 +25,9 @@ from ladar_volume.tiles.tile_work import result_path
 def test_tiles_give_what_one_triangulation_gives(tmp_path, kind, tile_m):
     path = write(tmp_path / "cloud.laz", kind(4000, np.random.default_rng(5)))
     surface, whole = at_once(path)
-    found, volume = by_tiles(path, tmp_path / "store", tile_m)
-    same(volume, whole)
+    found = by_tiles(path, tmp_path / "store", tile_m)
+    same(found.volume, whole)
+    assert whole.folded_m3 > 0.01 and whole.near_area_m2 > 10.0
     assert sum(s.triangles for s in found.sums) == len(surface.representation.tin.triangles)
     assert sum(s.vertices for s in found.sums) == len(surface.representation.tin.vertices)
 
@@ -37,34 +35,28 @@ def test_tiles_give_what_one_triangulation_gives(tmp_path, kind, tile_m):
 def test_a_plane_and_a_longest_edge(tmp_path):
     path = write(tmp_path / "cloud.las", clustered(5000, np.random.default_rng(2)))
     _, whole = at_once(path, "edge", 1.5, base="plane", plane=(9.0, 0.02, 0.01))
-    task = TileTask((9.0, 0.02, 0.01), "edge", max_edge_m=1.5, sigma_m=SIGMA)
-    same(by_tiles(path, tmp_path / "store", 11.0, task)[1], whole)
+    asked = {"limits": Limits("edge", max_edge_m=1.5), "base": "plane", "plane": (9.0, 0.02, 0.01)}
+    same(by_tiles(path, tmp_path / "store", 11.0, **asked).volume, whole)
 
 
 def test_few_points_far_apart(tmp_path):
     xy = np.array([[0.0, 0], [40, 1], [3, 41], [44, 43], [44, 43.001], [20, 20]])
     path = write(tmp_path / "cloud.las", xy)
     _, whole = at_once(path)
-    same(by_tiles(path, tmp_path / "store", 5.0)[1], whole)
+    same(by_tiles(path, tmp_path / "store", 5.0).volume, whole)
 
 
 def test_what_is_done_is_not_done_again_and_what_is_damaged_is_told(tmp_path):
     path = write(tmp_path / "cloud.laz", random(3000, np.random.default_rng(8)))
-    found, first = by_tiles(path, tmp_path / "store", 20.0, part=1000)
-    task = TileTask((LEVEL,), sigma_m=SIGMA)
-    tiles = sorted(found.index.count)
-    gone, kept = (result_path(found.index, task, t) for t in tiles[:2])
+    found = by_tiles(path, tmp_path / "store", 20.0, part=1000)
+    first, tiles = found.volume, sorted(found.index.count)
+    gone, kept, *others = (surface_path(found.index, Limits(), t) for t in tiles)
     gone.unlink()
-    kept.write_text(kept.read_text()[:40])
-    others = {t: result_path(found.index, task, t).stat().st_mtime_ns for t in tiles[2:]}
+    kept.write_bytes(kept.read_bytes()[:-500])
+    done = [path.stat().st_mtime_ns for path in others]
     found.index.cloud.archive(1).unlink()
-    same(by_tiles(path, tmp_path / "store", 20.0, part=1000)[1], first)
-    assert all(
-        result_path(found.index, task, t).stat().st_mtime_ns == at for t, at in others.items()
-    )
-    for damaged in ('{"sums": null}', "[" * 100_000, kept.read_text().replace("1", "2")):
-        kept.write_text(damaged)
-        same(by_tiles(path, tmp_path / "store", 20.0, part=1000)[1], first)
+    assert by_tiles(path, tmp_path / "store", 20.0, part=1000).volume == first
+    assert [path.stat().st_mtime_ns for path in others] == done
     archive = found.index.cloud.archive(2)
     good = archive.read_bytes()
     with np.load(archive) as arrays:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
@@ -17,42 +16,21 @@ from ladar_volume.cli.scale.workers import Progress, check_workers, progress_on,
 from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
-from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.sampling.site_lengths import length_facts, named_lengths
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.tiles.ground_volume import above_ground
-from ladar_volume.tiles.tile_ground_volume import GroundSums
-from ladar_volume.tiles.tile_store import CloudParts, TileIndex, parts_of_file
+from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_surface import Limits
-from ladar_volume.tiles.tile_volume import TileSums, TileTask, whole_volume
-from ladar_volume.tiles.tile_work import Workers, sums_of_cloud
+from ladar_volume.tiles.tiled_volume import TiledVolume, VolumeTask, volume_by_tiles
 from ladar_volume.version import version
-from ladar_volume.volume.volume_loads import base_name
 
-#: Mean of the positive part of noise of 1 about 0: no fold is larger, in sigmas of height.
-FOLD = 1.0 / math.sqrt(2.0 * math.pi)
 #: Options of ``volume`` that tiles know.
 SHARED = frozenset(
     "verb run cloud json strict level plane base outline set ground_preset clean no_correction "
     "relevant max_edge max_circle sigma tile store dask workers".split()
 )
-
-
-@dataclass(frozen=True)
-class Found:
-    """A volume by tiles. sums : of each tile, in the order of their names · sigma_m : of the
-    heights, the largest of the tiles, 0 where it is not known · parameters : with the lengths of
-    base and outline that it was found with
-    """
-
-    volume: CloudVolume
-    index: TileIndex
-    sums: Sequence[TileSums | GroundSums]
-    sigma_m: float
-    parameters: Parameters
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -64,7 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
         tile_m = TILE_M if arguments.tile is None else arguments.tile
         cloud = parts_of_file(arguments.cloud, store, tile_m, reading_of(arguments))
     with workers_of(arguments, words) as workers, progress_on(words) as bars:
-        found = volume_of(arguments, parameters, cloud, workers, shares(bars))
+        named, correct = named_lengths(arguments.set), not arguments.no_correction
+        task = VolumeTask(limits_of(arguments), parameters, arguments.sigma, correct, named)
+        found = volume_by_tiles(cloud, task, workers, shares(bars))
     facts = facts_of(found, arguments)
     if arguments.json:
         print(json_text(facts), end="")
@@ -102,28 +82,6 @@ def limits_of(a: argparse.Namespace) -> Limits:
     return Limits(relevant, a.max_edge or math.inf, a.max_circle or math.inf)
 
 
-def volume_of(
-    a: argparse.Namespace,
-    parameters: Parameters,
-    cloud: CloudParts,
-    workers: Workers,
-    progress: Callable[[str, int, int], None],
-) -> Found:
-    """The volume above the ground, a level or a plane."""
-    v, limits = parameters.volume, limits_of(a)
-    if v.base == "ground":
-        named = named_lengths(a.set)
-        above = above_ground(cloud, limits, parameters, a.sigma, workers, progress, named)
-        return Found(above.volume, above.index, above.sums, above.sigma_m, above.parameters)
-    base = (v.level_m,) if v.base == "level" else tuple(v.plane)
-    relevant, edge, circle = limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
-    task = TileTask(base, relevant, edge, circle, a.sigma)
-    found = sums_of_cloud(cloud, task, workers, progress)
-    sigma = max((s.sigma_m for s in found.sums if s.sigma_m is not None), default=0.0)
-    volume = whole_volume(found.sums, base_name(parameters))
-    return Found(volume, found.index, found.sums, sigma, parameters)
-
-
 def shares(progress: Progress) -> Callable[[str, int, int], None]:
     """Progress in points of a stage."""
     done: dict[str, int] = {}
@@ -135,11 +93,10 @@ def shares(progress: Progress) -> Callable[[str, int, int], None]:
     return report
 
 
-def facts_of(found: Found, a: argparse.Namespace) -> dict[str, Any]:
+def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     """What the JSON says: that of ``volume``, and the tiles."""
     index, sums, parameters = found.index, found.sums, found.parameters
     ground = parameters.volume.base == "ground"
-    estimated = "root mean square over the tiles" if ground else "tile by tile"
     doubts = (*index.doubts, *doubts_of(found, ground))
     return {
         **volume_facts(found.volume, parameters),
@@ -159,7 +116,9 @@ def facts_of(found: Found, a: argparse.Namespace) -> dict[str, Any]:
             "rounds": max(s.rounds for s in sums),
             "left_out": index.left_out,
             "folder": str(index.cloud.folder),
-            "sigma_from": "given" if a.sigma is not None else f"local quadrics, {estimated}",
+            "sigma_from": "given"
+            if a.sigma is not None
+            else "local quadrics, root mean square over the tiles",
             "relevant": limits_of(a).relevant,
         },
         "verdict": Verdict(doubts).as_dict(),
@@ -167,7 +126,7 @@ def facts_of(found: Found, a: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def doubts_of(found: Found, ground: bool) -> list[Doubt]:
+def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
     """What speaks against a volume by tiles."""
     volume, points = found.volume, sum(s.points for s in found.sums)
     words = (
@@ -177,14 +136,7 @@ def doubts_of(found: Found, ground: bool) -> list[Doubt]:
     )
     out = [Doubt("tiles_not_judged", words, float(points))]
     if math.isnan(volume.sigma_m3):
-        return [*out, NO_SIGMA]
-    fold = FOLD * found.sigma_m * volume.near_area_m2
-    if fold > volume.sigma_m3:
-        words = (
-            f"{volume.near_area_m2:.4g} m² lie within the noise of the base: cut and fill may each "
-            f"be {fold:.3g} m³ too large there, the net volume is not; take another level"
-        )
-        out.append(Doubt("near_base", words, fold))
+        out.append(NO_SIGMA)
     return out
 
 
@@ -200,13 +152,13 @@ def refuse_unknown_options(a: argparse.Namespace) -> None:
             words = f"--{name.replace('_', '-')} is not done by tiles: leave it out, or leave "
             words += "--tile and --dask out"
             raise ConfigurationError(words, value=name)
-    off = {"--clean off": a.clean == "off", "--no-correction": a.no_correction}
+    off = {"--clean off": a.clean == "off"}
     by_limit = a.max_edge is not None or a.max_circle is not None
     off["--relevant all (or --max-edge, --max-circle)"] = by_limit or a.relevant == "all"
     missing = [option for option, given in off.items() if not given]
     if missing:
         words = (
-            f"strays, the sampled area and the noise near the base are told from the whole cloud: "
+            f"strays and the sampled area are told from the whole cloud: "
             f"by tiles give {', '.join(missing)}"
         )
         raise ConfigurationError(words, value=missing)

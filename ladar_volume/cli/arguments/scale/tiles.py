@@ -39,7 +39,9 @@ def add_parser(subparsers: Verbs) -> None:
     add_strict_option(parser)
     # of ``volume`` alone
     parser.set_defaults(cloud_b=None, piles=None, levels=None, method=None, offset=None)
-    parser.set_defaults(footprint="common", sigma_b=None, frame="level", trajectory=None)
+    parser.set_defaults(
+        no_correction=False, footprint="common", sigma_b=None, frame="level", trajectory=None
+    )
     parser.set_defaults(run=work("ladar_volume.cli.scale.tiles"))
 
 

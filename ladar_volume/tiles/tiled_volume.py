@@ -1,5 +1,5 @@
-"""The volume of a cloud above a ground of its own, by tiles: to what
-:func:`~ladar_volume.clouds.cloud_volume.above_base` gives without its correction near the base.
+"""The volume of a cloud above a level, a plane, or a ground of its own, by tiles: to what
+:func:`~ladar_volume.clouds.cloud_volume.above_base` gives.
 """
 
 from __future__ import annotations
@@ -9,22 +9,32 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.cloud_noise import cloud_noise
+from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, with_noise
 from ladar_volume.clouds.sampling.site_lengths import SiteSize, site_lengths
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
-from ladar_volume.tiles import tile_ground_volume, tile_outline
+from ladar_volume.tiles import tile_outline, tile_volume
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, run_batch
-from ladar_volume.tiles.tile_ground_volume import Above, GroundSums, Squares
+from ladar_volume.tiles.tile_fit import VertexSelection
+from ladar_volume.tiles.tile_near import whole_fold
 from ladar_volume.tiles.tile_outline import Box
-from ladar_volume.tiles.tile_store import CloudParts, Tile, TileIndex, distribute_part, tile_index
-from ladar_volume.tiles.tile_surface import Limits, surface_of
-from ladar_volume.tiles.tile_volume import noise_of_tile
+from ladar_volume.tiles.tile_store import (
+    CloudParts,
+    Tile,
+    TileIndex,
+    digest,
+    distribute_part,
+    tile_index,
+)
+from ladar_volume.tiles.tile_surface import Limits, surface_folder, surface_of
+from ladar_volume.tiles.tile_volume import Above, Beside, Squares, TileSums
 from ladar_volume.tiles.tile_work import Workers, results
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
@@ -44,7 +54,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class GroundVolume:
+class TiledVolume:
     """volume : of all tiles · base : the ground · index : the tiles · sums : of each, in the order
     of their names · sigma_m : of the heights · parameters : with the lengths that fit the site
     """
@@ -52,7 +62,7 @@ class GroundVolume:
     volume: CloudVolume
     base: Plane
     index: TileIndex
-    sums: list[GroundSums]
+    sums: list[TileSums]
     sigma_m: float
     parameters: Parameters
 
@@ -68,6 +78,14 @@ class TriangulatedTile:
     sigma_m: float
     area_m2: float
     vertices: int
+
+
+def noise_of_tile(points: F64) -> float | None:
+    """Standard deviation, m, of the heights of points (n, 3); None where they are too few."""
+    try:
+        return cloud_noise(points).sigma_m
+    except SurfaceError:
+        return None
 
 
 def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
@@ -111,31 +129,57 @@ def triangulated(
     return of, {longest[k]: one for k, (one,) in found}
 
 
-def above_ground(
+@dataclass(frozen=True)
+class VolumeTask:
+    """limits : which triangles count · parameters : of base, outline and ground · sigma_m : of the
+    heights; None for that of the tiles, their root mean square by points · correct : whether cut
+    and fill are corrected near the base · named : lengths of base and outline that stay, the others
+    follow the site; None for all as given
+    """
+
+    limits: Limits
+    parameters: Parameters
+    sigma_m: float | None
+    correct: bool = True
+    named: Collection[str] | None = None
+
+
+def volume_by_tiles(
     cloud: CloudParts,
-    limits: Limits,
-    parameters: Parameters,
-    sigma_m: float | None,
+    task: VolumeTask,
     workers: Workers,
     progress: Progress = lambda stage, total, done: None,
-    named: Collection[str] | None = None,
-) -> GroundVolume:
-    """The volume above the ground of the same cloud. sigma_m : of the heights; None for that of
-    the tiles, their root mean square by points. The lengths of base and outline follow the site,
-    but for those ``named``; None for all as given. Raises :class:`GroundError` where no ground can
-    be fitted, :class:`VolumeError` where nothing lies inside the outline.
+) -> TiledVolume:
+    """The volume above a level, a plane, or the ground of the same cloud. Raises
+    :class:`GroundError` where no ground can be fitted, :class:`VolumeError` where nothing lies
+    inside the outline.
     """
-    of, known = triangulated(cloud, limits, sigma_m is None, workers, progress)
-    sigma = noise_of(list(known.values())) if sigma_m is None else sigma_m
-    if named is not None:
-        parameters = site_lengths(parameters, size_of_tiles(list(known.values()), sigma), named)
-    fitter = GroundFitter(of, workers, sigma)
-    reach = [known[tile].reach for tile in of.tiles]
-    outline = OutlineFinder(fitter, parameters, reach).found()
-    asked = Above(outline.fit.plane, outline.folder, sigma)
-    sums = ask(workers, of, tile_ground_volume.ground_sums, [(asked,)] * len(of.tiles))
-    volume = VolumeAbove(fitter, outline.fit, asked, sums).volume(base_name(parameters))
-    return GroundVolume(volume, outline.fit.plane, of.index, sums, sigma, parameters)
+    of, known = triangulated(cloud, task.limits, task.sigma_m is None, workers, progress)
+    tiles, parameters = list(known.values()), task.parameters
+    sigma = noise_of(tiles) if task.sigma_m is None else task.sigma_m
+    if task.named is not None:
+        parameters = site_lengths(parameters, size_of_tiles(tiles, sigma), task.named)
+    fitter, v, fit, folder = GroundFitter(of, workers, sigma), parameters.volume, None, None
+    if v.base == "ground":
+        if math.isnan(sigma):
+            words = "no tile has points enough to estimate their noise: give --sigma, or larger "
+            raise SurfaceError(words + "tiles", reason="surface_too_few_points")
+        outline = OutlineFinder(fitter, parameters, [known[t].reach for t in of.tiles]).found()
+        fit, folder = outline.fit, outline.folder
+        base = fit.plane
+    else:
+        base = design_surface([v.level_m] if v.base == "level" else list(v.plane))
+    near = near_folder(of, base, folder, sigma) if task.correct else None
+    asked = Above(base, folder, sigma, near)
+    sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
+    volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
+    return TiledVolume(volume, base, of.index, sums, sigma, parameters)
+
+
+def near_folder(of: TiledCloud, base: Plane, outline: Path | None, sigma_m: float) -> Path:
+    """Where what is near a base is at rest."""
+    words = [base.beta.tolist(), base.origin_xy.tolist(), outline, sigma_m]
+    return surface_folder(of.index, of.limits) / f"near_{digest(words)}"
 
 
 def size_of_tiles(tiles: list[TriangulatedTile], sigma_m: float) -> SiteSize:
@@ -145,26 +189,23 @@ def size_of_tiles(tiles: list[TriangulatedTile], sigma_m: float) -> SiteSize:
 
 
 def noise_of(tiles: list[TriangulatedTile]) -> float:
-    """Root mean square by points of the noise of all tiles, m. Raises :class:`SurfaceError` where
-    no tile can tell.
-    """
+    """Root mean square by points of the noise of all tiles, m; NaN where no tile can tell."""
     some = [t for t in tiles if math.isfinite(t.sigma_m)]
     if not some:
-        words = "no tile has points enough to estimate their noise: give --sigma, or larger tiles"
-        raise SurfaceError(words, reason="surface_too_few_points")
+        return math.nan
     return math.sqrt(math.fsum(t.points * t.sigma_m**2 for t in some) / sum(t.points for t in some))
 
 
 @dataclass(frozen=True)
 class VolumeAbove:
-    """The last sums. fitter : asks the tiles · fit : the ground · asked : what is above it · sums :
-    of each tile
+    """The last sums. fitter : asks the tiles · fit : the ground, None above a given base · asked :
+    of the tiles · sums : of each
     """
 
     fitter: GroundFitter
-    fit: TiledFit
+    fit: TiledFit | None
     asked: Above
-    sums: list[GroundSums]
+    sums: list[TileSums]
 
     def _ask(self, op: Callable[..., F64], *more: object, adds: bool = True) -> F64:
         """Answers of the tiles, added up or one below the other."""
@@ -178,39 +219,42 @@ class VolumeAbove:
         if not any(t.triangles for t in s):
             raise VolumeError("no triangle counts: widen the limit", reason="volume_no_triangle")
         by_beta = np.sum([t.by_beta for t in s], axis=0)
-        by_sums, chosen = self.fit.inverse @ by_beta, self.fit.chosen
-        found = self._ask(tile_ground_volume.squares, self.asked, chosen, by_sums)
-        noise = self.asked.sigma_m**2 * found
-        rough = self._field(by_sums[:, 0])
+        chosen, by_sums, extra = None, by_beta, dict[str, float]()
+        if self.fit is not None:
+            chosen, by_sums = self.fit.chosen, self.fit.inverse @ by_beta
+            extra["base_surface"] = self._field(self.fit, by_sums[:, 0])
+        noise = self.asked.sigma_m**2 * self._squares(chosen, by_sums)
+        near = whole_fold([t.near for t in s if t.near is not None])
         cut, fill = math.fsum(t.cut_m3 for t in s), math.fsum(t.fill_m3 for t in s)
-        near, area = math.fsum(t.near_m2 for t in s), math.fsum(t.area_m2 for t in s)
-        sigma, sigma_cut, sigma_fill = np.sqrt(noise + rough).tolist()
-        return CloudVolume(
-            cut,
-            fill,
-            cut,
-            fill,
-            0.0,
-            near,
-            sigma,
-            sigma_cut,
-            sigma_fill,
-            area,
-            base,
-            True,
-            {"noise": float(noise[0]), "base_surface": rough},
-        )
+        area = math.fsum(t.area_m2 for t in s)
+        curved = 0.0 if near is None else near.variance_m6
+        solid = Solid(cut, fill, area, (), near, curved, extra)
+        return with_noise(solid, noise, {}, base, self.fit is not None)
 
-    def _field(self, by_sums: F64) -> float:
+    def _squares(self, chosen: VertexSelection | None, by_sums: F64) -> F64:
+        """Sums (3,) m⁴ of squared derivatives; each tile is told which give something to it."""
+        tiles = self.fitter.of.tiles
+        beside: dict[Tile, list[Tile]] = {}
+        for tile, found in zip(tiles, self.sums, strict=True):
+            for other in () if found.near is None else found.near.beside:
+                beside.setdefault(other, []).append(tile)
+        more = [
+            (self.asked, Beside(found.near is not None, beside.get(t, [])), chosen, by_sums)
+            for t, found in zip(tiles, self.sums, strict=True)
+        ]
+        sums = ask(self.fitter.workers, self.fitter.of, tile_volume.squares, more, adds=True)
+        return np.asarray(np.sum(sums, axis=0))
+
+    def _field(self, fit: TiledFit, by_sums: F64) -> float:
         """Variance, m⁶, of what the deviation of the ground from its base adds to the net volume,
         whose derivatives by the sums ``Xᵀz`` are given (p,).
         """
-        chosen = self.fit.chosen
-        base = dataclasses.replace(self.fit.plane, support=np.zeros(0, np.int64))
-        facts = self._ask(tile_ground_volume.field_facts, base, chosen, by_sums, adds=False)
+        chosen = fit.chosen
+        base = dataclasses.replace(fit.plane, support=np.zeros(0, np.int64))
+        facts = self._ask(tile_volume.field_facts, base, chosen, by_sums, adds=False)
         low, high = facts[:, :2].min(axis=0), facts[:, 2:4].max(axis=0)
         n, square, shares, own = facts[:, 4:].sum(axis=0).tolist()
-        rough = self._roughness(low, high, int(n), square / n, shares / n)
+        rough = self._roughness(fit, (low, high), int(n), square / n, shares / n)
         if rough.variance_m2 == 0.0:
             return 0.0
         boxes = np.stack([t.box for t in self.sums])
@@ -218,19 +262,21 @@ class VolumeAbove:
         high = np.maximum(high, boxes[:, 2:].max(axis=0))
         h, shape = field_squares(rough, low, high)
         more = (self.asked, chosen, by_sums, Squares(low, h, shape))
-        grid = self._ask(tile_ground_volume.field_grid, *more)
+        grid = self._ask(tile_volume.field_grid, *more)
         return variance_on_squares(rough, grid, h, own)
 
-    def _roughness(self, low: F64, high: F64, n: int, square: float, share: float) -> Roughness:
+    def _roughness(
+        self, fit: TiledFit, box: tuple[F64, F64], n: int, square: float, share: float
+    ) -> Roughness:
         """The field of n points of the ground within a box: mean of their squared residuals, m²,
         and of their noise variances in those of one point.
         """
-        chosen, side = self.fit.chosen, occupied_side(low, high)
-        grid = self._ask(tile_ground_volume.points_per_square, chosen, low, side)
+        chosen, low, side = fit.chosen, box[0], occupied_side(*box)
+        grid = self._ask(tile_volume.points_per_square, chosen, low, side)
         some = self.fitter.at_ranks(chosen, n, sample_step(n))[:, 1:4]
-        residual = height_above(some, self.fit.plane)
+        residual = height_above(some, fit.plane)
         spacing = spacing_of(int(np.count_nonzero(grid)), side, n)
         xy = np.ascontiguousarray(some[:, :2])
         noise = self.asked.sigma_m**2 * share
         sample = FieldSample(xy, residual, n, spacing, noise, square)
-        return roughness_of(sample, len(self.fit.plane.beta))
+        return roughness_of(sample, len(fit.plane.beta))

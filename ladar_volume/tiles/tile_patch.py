@@ -1,0 +1,176 @@
+"""The surface around a tile: its triangles at rest with those of the tiles beside, so that all
+triangles are known so many edges away from its own vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_outline import Box, read
+from ladar_volume.tiles.tile_store import Tile, TileIndex
+from ladar_volume.tiles.tile_surface import TileSurface, surface_of
+from ladar_volume.tin.full_tin import any_corner, places_in
+from ladar_volume.volume.neighbourhood import grow_kernel
+
+#: First width around the tile for each edge, in mean distances of its points.
+WIDTH = 2.0
+
+
+@dataclass(frozen=True)
+class TilePatch:
+    """tin : the triangles, without ``source`` · shared : (n,) points at each vertex · own : (k,)
+    the tile's own vertices, in the order in which its surface has them · counted, inside : (m,)
+    triangles that belong to the tile, and those within the outline
+    """
+
+    tin: Tin
+    shared: F64
+    own: I64
+    counted: Bool
+    inside: Bool
+
+
+@dataclass(frozen=True)
+class SurfacePart:
+    """Triangles (m, 3) of one tile over vertices (n, 3) m, points at each, which of them are the
+    tile's own (n,), and which triangles count in it and lie within the outline (m,).
+    """
+
+    vertices: F64
+    triangles: I32
+    shared: F64
+    own: Bool
+    counted: Bool
+    inside: Bool
+
+
+def inside_of(surface: TileSurface, tile: Tile, folder: Path | None) -> Bool:
+    """The triangles (m,) of a tile that lie inside the outline."""
+    return surface.tin.relevant if folder is None else read(folder, "inside", tile)
+
+
+def patch_of(
+    of: TiledCloud, tile: Tile, surface: TileSurface, folder: Path | None, edges: int
+) -> TilePatch:
+    """The surface around a tile in which all triangles are known so many edges away from its own
+    vertices. folder : of the triangles inside the outline, as in :func:`inside_of`
+    """
+    side, own = of.index.cloud.tile_m, int(np.count_nonzero(surface.own))
+    width = min(side, WIDTH * edges * side / max(own, 1) ** 0.5)
+    while True:
+        i, j = tile
+        box = (i * side - width, j * side - width, (i + 1) * side + width, (j + 1) * side + width)
+        first = whole_part(surface, inside_of(surface, tile, folder))
+        parts = [first, *parts_beside(of, tile, box, folder)]
+        patch, complete = joined(parts, box)
+        marked = np.zeros(len(complete), np.bool_)
+        marked[patch.own] = True
+        grow_kernel(patch.tin.triangles, marked, edges)
+        if complete[marked].all():
+            return patch
+        width *= 2.0
+
+
+def whole_part(surface: TileSurface, inside: Bool) -> SurfacePart:
+    """All that a tile has at rest."""
+    t = surface.tin
+    return SurfacePart(
+        t.vertices, t.triangles, surface.shared, surface.own, surface.counted, inside
+    )
+
+
+def in_box(xy: F64, box: Box) -> Bool:
+    """Which of places (n, 2) lie in a box."""
+    x0, y0, x1, y1 = box
+    x, y = xy[:, 0], xy[:, 1]
+    return np.asarray((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
+
+
+def parts_beside(
+    of: TiledCloud, tile: Tile, box: Box, folder: Path | None
+) -> Iterator[SurfacePart]:
+    """What other tiles have round their own vertices in a box."""
+    for other in tiles_in(of.index, box):
+        if other == tile:
+            continue
+        s = surface_of(of.index, of.limits, other)
+        some = any_corner(s.tin.triangles, s.own & in_box(s.tin.vertices, box))
+        if not some.any():
+            continue
+        corners = np.unique(s.tin.triangles[some]).astype(np.int64)
+        triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
+        inside = inside_of(s, other, folder)[some]
+        none = np.zeros(len(triangles), np.bool_)
+        yield SurfacePart(
+            s.tin.vertices[corners], triangles, s.shared[corners], s.own[corners], none, inside
+        )
+
+
+def tiles_in(index: TileIndex, box: Box) -> list[Tile]:
+    """The tiles with points in a box, or nearly, by name."""
+    x0, y0, x1, y1 = box
+    i0, j0, i1, j1 = (int(v // index.cloud.tile_m) for v in box)
+    if (i1 - i0 + 3) * (j1 - j0 + 3) < len(index.box):
+        names = [(i, j) for i in range(i0 - 1, i1 + 2) for j in range(j0 - 1, j1 + 2)]
+        near = [(name, index.box[name]) for name in names if name in index.box]
+    else:
+        near = sorted(index.box.items())
+    return [t for t, b in near if b[0] <= x1 and b[2] >= x0 and b[1] <= y1 and b[3] >= y0]
+
+
+def joined(parts: list[SurfacePart], box: Box) -> tuple[TilePatch, Bool]:
+    """One surface of parts, the first of which is that of the tile; and round which of its vertices
+    (n,) all triangles are known: those of other tiles within the box, and all of its own.
+    """
+    xyz = np.concatenate([p.vertices for p in parts])
+    names = np.ascontiguousarray(xyz[:, :2]).view(np.complex128).reshape(-1)
+    _, first, place = np.unique(names, return_index=True, return_inverse=True)
+    place = place.reshape(-1).astype(np.int32)
+    start = np.r_[0, np.cumsum([len(p.vertices) for p in parts])].tolist()
+    corners = np.concatenate(
+        [place[at + p.triangles] for at, p in zip(start[:-1], parts, strict=True)]
+    )
+    low = np.argmin(corners, axis=1)
+    turned = np.take_along_axis(corners, (low[:, None] + np.arange(3)) % 3, axis=1)
+    side = turned[:, 0].astype(np.int64) * len(first) + turned[:, 1]
+    # one triangle lies to the left of a side; that of the tile itself is the first
+    some = np.sort(np.unique(side, return_index=True)[1])
+    triangles = corners[some]
+    counted, inside = (
+        np.concatenate([getattr(p, name) for p in parts])[some] for name in ("counted", "inside")
+    )
+    vertices, shared = xyz[first], np.concatenate([p.shared for p in parts])[first]
+    across = across_sides(triangles, len(first))
+    tin = Tin(vertices, triangles, across, inside, np.full(len(first), -1))
+    own = place[: start[1]][parts[0].own].astype(np.int64)
+    complete = in_box(vertices, box)
+    complete[own] = True
+    return TilePatch(tin, shared, own, counted, inside), complete
+
+
+def across_sides(triangles: I32, n: int) -> I32:
+    """The triangle across the side opposite each corner of triangles (m, 3) over n vertices, (m,
+    3): -1 where there is none.
+    """
+    a, b = (triangles[:, [k, (k + 1) % 3, (k + 2) % 3]].astype(np.int64) for k in (1, 2))
+    side = (np.minimum(a, b) * n + np.maximum(a, b)).reshape(-1)
+    return np.asarray(pair_kernel(side, np.argsort(side, kind="stable")))
+
+
+@kernel
+def pair_kernel(side: I64, order: I64) -> I32:
+    """See :func:`across_sides`: names (3 m,) of the sides, and their order."""
+    out = np.full((len(side) // 3, 3), -1, np.int32)
+    for i in range(len(order) - 1):
+        a, b = order[i], order[i + 1]
+        if side[a] == side[b]:
+            out[a // 3, a % 3] = b // 3
+            out[b // 3, b % 3] = a // 3
+    return out
