@@ -98,9 +98,7 @@ def good_points(raw: F64, result: CloudResult) -> Bool:
     """
     known = np.zeros(len(raw), np.bool_)
     known[result.index] = True
-    out: Bool = known | connected_to_known(
-        raw, known, second_neighbour_distance(raw, raw), ~known, JUMP
-    )
+    out: Bool = known | connected_to_known(raw, known, second_neighbour_distance(raw), ~known, JUMP)
     return out
 
 

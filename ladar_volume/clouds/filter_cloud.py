@@ -48,7 +48,8 @@ def filter_cloud(
         result = _filter_published(before.r, parameters, auto)
     else:
         once = distinct_rows(before.r)
-        result = restore_copies(_filter(once.r, parameters, auto, keep), once)
+        steps = rounding_steps(before.r[np.sort(once.index)])
+        result = restore_copies(_filter(once.r, steps, parameters, auto, keep), once)
     if parameters.grid_before_m > 0.0:
         result = expand_result(
             result, before, parameters.grid_before_m if how_before == "round" else 0.0
@@ -80,12 +81,13 @@ def _filter_published(
 
 
 def _filter(
-    points: F64, parameters: FilterParameters, auto: bool, keep: frozenset[str]
+    points: F64, steps: F64, parameters: FilterParameters, auto: bool, keep: frozenset[str]
 ) -> CloudResult:
-    """The distinct points that are left after the first reduction."""
+    """The distinct points that are left after the first reduction, their coordinates rounded to
+    ``steps`` (3,) m.
+    """
     origin = _centre(points)
     local = points - origin
-    steps = rounding_steps(points)
     tuned = tune(local, parameters, auto, steps)
     factor = 1.0
     if auto and tuned.lines is not None:

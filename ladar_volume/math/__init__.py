@@ -9,5 +9,6 @@ Public:
 - ``packed_covariance``: symmetric matrices as six numbers. ``hashing``: choice without order.
 - ``normal_equations``: least squares with up to six unknowns, for kernels.
 - ``run_concurrently``: two pieces of work at a time.
+- ``space_curve``: the order of points along a curve through space.
 - ``sparse_diagonal``: diagonal matrices as sparse arrays.
 """

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.space_curve import radix_order
 from ladar_volume.model.records import F64, I64
 
 #: Bits of a cell number per axis: an outlier may be 2**16 times as far away as the points are wide
@@ -18,7 +19,6 @@ from ladar_volume.model.records import F64, I64
 BITS = 26
 #: A round holds this many bits' share: 2**-SHARE of the points that are left over go before it.
 SHARE = 2
-DIGIT = 11
 
 
 def hilbert_steps() -> I64:
@@ -61,32 +61,6 @@ def hilbert_kernel(xy: F64, x0: float, y0: float, scale: float) -> I64:
             d = (d << 8) | (step >> 2)
         out[i] = d
     return out
-
-
-@kernel
-def radix_order(key: npt.NDArray[np.uint64], bits: int) -> npt.NDArray[np.int32]:
-    """Stable sorting permutation (n,) of keys of so many bits; destroys ``key``."""
-    n = len(key)
-    order, order2, key2 = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.uint64)
-    for i in range(n):
-        order[i] = i
-    mask = np.uint64(2**DIGIT - 1)
-    for shift in range(0, bits, DIGIT):
-        s = np.uint64(shift)
-        at = np.zeros(2**DIGIT + 1, np.int64)
-        for i in range(n):
-            at[((key[i] >> s) & mask) + np.uint64(1)] += 1
-        if at.max() == n:
-            continue
-        for b in range(2**DIGIT):
-            at[b + 1] += at[b]
-        for i in range(n):
-            b = (key[i] >> s) & mask
-            j = at[b]
-            at[b] = j + 1
-            key2[j], order2[j] = key[i], order[i]
-        key, key2, order, order2 = key2, key, order2, order
-    return order
 
 
 @kernel

@@ -17,9 +17,10 @@ from scipy import sparse
 
 from ladar_volume.math.box_tree import join_boxes
 from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.space_curve import radix_order
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.insertion_order import hilbert_order, radix_order
+from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.predicates import orientation, workspace
 
 LEAF = 4

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
+from ladar_volume.math.space_curve import radix_order
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.tin import predicates
 from ladar_volume.tin import triangle_table as mesh_table
@@ -30,7 +31,6 @@ from ladar_volume.tin.insertion_order import (
     hilbert_order,
     insertion_order,
     insertion_rounds,
-    radix_order,
 )
 from ladar_volume.tin.predicates import COUNTS, incircle, orientation, workspace
 from ladar_volume.tin.triangle_table import triangle_table

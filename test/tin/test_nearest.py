@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from ladar_volume.clouds.sampling.isolation import second_neighbour_distance
 from ladar_volume.math.nearest import nearest, nearest_index
+from ladar_volume.math.space_curve import BITS, curve_order
 from ladar_volume.tin.insertion_order import hilbert_order
 
 RNG = np.random.default_rng(5)
@@ -45,3 +47,24 @@ def test_of_points_equally_far_the_first_are_taken() -> None:
 def test_more_neighbours_than_points_are_refused() -> None:
     with pytest.raises(ValueError, match="9 neighbours of 8 points"):
         nearest(nearest_index(np.zeros((8, 3))), np.zeros((1, 3)), 9)
+
+
+def test_the_curve_interleaves_the_bits_of_cells() -> None:
+    def key(point: np.ndarray) -> int:
+        cell = ((point - low) * scale).astype(np.int64).clip(0, 2**BITS - 1)
+        digits = zip(*(f"{c:0{BITS}b}" for c in cell), strict=True)
+        return int("".join("".join(d) for d in digits), 2)
+
+    for points in (EVEN, CLOUDS["uneven"], CLOUDS["at one place"]):
+        low = points.min(axis=0)
+        scale = 2.0**BITS / max(np.ptp(points, axis=0).max(), 1e-280)
+        plain = sorted(range(len(points)), key=lambda i: key(points[i]))
+        assert np.array_equal(curve_order(points), plain)
+    assert len(curve_order(np.zeros((0, 3)))) == 0
+
+
+def test_the_second_neighbour_is_that_of_brute_force() -> None:
+    far = np.sqrt(((EVEN[:, None] - EVEN) ** 2).sum(axis=2))
+    wanted = np.sort(far, axis=1)[:, 2]
+    assert np.allclose(second_neighbour_distance(EVEN), wanted, rtol=1e-13, atol=0)
+    assert second_neighbour_distance(EVEN[:1]) == [0.0]

@@ -50,7 +50,7 @@ def classify_off_surface(
     stays = np.zeros(n, np.bool_)
     kept = reason == cell_surface.KEPT
     if auto and not tuned.noise_known:
-        own = second_neighbour_distance(r, r)
+        own = second_neighbour_distance(r)
         reason[kept] = cell_surface.FEW_POINTS
         kept = own <= np.median(own)
         stays = kept | connected_to_known(r, kept, own, ~kept, JUMP)
@@ -82,7 +82,7 @@ def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuning) -> F64:
     known = tuned.regions.sigma_m[kept if kept.any() else slice(None)]
     sigma = np.full(len(r), float(np.quantile(known, FACING)))
     if kept.any() and stays.any() and tuned.noise_known:
-        own = second_neighbour_distance(r, r)
+        own = second_neighbour_distance(r)
         wide = kept & (own >= np.quantile(own[kept], WIDELY)) & (own > 0.0)
         if wide.any():
             grows = float(np.median(tuned.regions.sigma_m[wide] / own[wide]))
@@ -98,13 +98,13 @@ def _sparse_survey_points(r: F64, projection: Projection, tuned: Tuning) -> Bool
     assert tuned.lines is not None
     open_ = (reason == cell_surface.NO_SURFACE) & np.isfinite(tuned.lines.reach_m)
     thin = ~kept & ~off & ~open_
-    own = second_neighbour_distance(r, r)
+    own = second_neighbour_distance(r)
     stays = connected_to_known(r, kept, own, thin, JUMP)
     # beside a surface all are near it: what belongs to something else has others like it about
     alone = np.flatnonzero(~kept)
     if off.any() and len(alone) > LINE:
         among = own.copy()
-        among[alone] = second_neighbour_distance(r[alone], r[alone])
+        among[alone] = second_neighbour_distance(r[alone])
         stays |= connected_to_known(r, kept | stays, among, off, BESIDE)
     return stays
 

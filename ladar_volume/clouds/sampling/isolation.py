@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.nearest import nearest_distances, nearest_index
+from ladar_volume.math.space_curve import curve_order
 from ladar_volume.model.records import F64, Bool
 
 #: Neighbours whose distance is the spacing; points next to one that tell what is usual; how many
@@ -19,11 +21,12 @@ from ladar_volume.model.records import F64, Bool
 NEXT, USUAL, HANDS, ROUNDS = 2, 5, 1.2, 12
 
 
-def second_neighbour_distance(r: F64, among: F64) -> F64:
-    """Distance (n,) m of points (n, 3) to the second neighbour ``among`` (m, 3), which hold it."""
-    k = min(NEXT + 1, len(among))
-    distance = cKDTree(among, balanced_tree=False).query(r, k=[k], workers=-1)[0]
-    return np.asarray(distance, np.float64)[:, 0]
+def second_neighbour_distance(r: F64) -> F64:
+    """Distance (n,) m of points (n, 3) to the second of their neighbours."""
+    order, out = curve_order(r), np.empty(len(r))
+    along = r[order]
+    out[order] = nearest_distances(nearest_index(along), along, min(NEXT + 1, len(r)))
+    return out
 
 
 def connected_to_known(r: F64, known: Bool, own_m: F64, candidates: Bool, times: float) -> Bool:
