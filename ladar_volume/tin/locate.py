@@ -20,8 +20,13 @@ from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.space_curve import radix_order
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+<<<<<<< HEAD
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.predicates import orientation, workspace
+=======
+from ladar_volume.tin.insertion_order import hilbert_order, radix_order
+from ladar_volume.tin.predicates import WORKSPACE, orientation, workspace
+>>>>>>> 90c2667 (Locating places near edges no longer writes beyond the scratch rows of the exact predicates)
 
 LEAF = 4
 #: Steps of the curve's grid per axis, as a power of two.
@@ -167,7 +172,7 @@ def locate_kernel(order: I64, corners: F64, boxes: F64, xy: F64) -> I64:
     n, m = len(xy), len(corners)
     out = np.full(n, -1, np.int64)
     for chunk in numba.prange(CHUNKS):
-        w = np.zeros((12, 1600))  # the scratch rows of the exact predicates
+        w = np.zeros(WORKSPACE)  # the scratch rows of the exact predicates
         stack, found, box = np.empty(128, np.int64), np.empty(64, np.int64), np.empty(4)
         for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
             x, y = xy[i, 0], xy[i, 1]
@@ -228,7 +233,7 @@ def walk_part(tin: Walked, xy: F64, order: I32, out: I64) -> None:
     """The triangle of each place (n, 2) in a Delaunay triangulation, by a walk from that of the one
     before in ``order`` (k,); -1 outside, -2 where the place lies on a side.
     """
-    w, t = np.zeros((12, 1600)), 0  # the scratch rows of the exact predicates
+    w, t = np.zeros(WORKSPACE), 0  # the scratch rows of the exact predicates
     for i in order:
         x, y = xy[i, 0], xy[i, 1]
         found, steps = -3, 0

@@ -5,6 +5,9 @@ outside.
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -147,3 +150,34 @@ def test_a_walk_finds_the_triangle_that_the_tree_finds(integer):
     some = places[::60]
     assert np.array_equal(locate_in_delaunay(tin, some), locate_plain(index, some))
     assert len(locate_in_delaunay(tin, places[:0])) == 0
+
+
+#: Points a unit of the last place off edges: the exact stage is asked, and counts that it was.
+NEAR_EDGES = """
+import numpy as np
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.locate import locate, locate_in_delaunay, locate_plain, triangle_index
+
+rng = np.random.default_rng(5)
+tin = build_tin(np.c_[rng.uniform(0.0, 9.0, (12, 2)), np.zeros(12)])
+p = tin.vertices[tin.triangles, :2]
+share = rng.uniform(0.2, 0.8, (len(p), 3, 1))
+on = (share * p + (1.0 - share) * np.roll(p, 1, axis=1)).reshape(-1, 2)
+xy = np.concatenate([np.nextafter(on, side) for side in (-99.0, 99.0)])
+index = triangle_index(tin)
+assert np.array_equal(locate(index, xy), locate_plain(index, xy))
+found = locate_in_delaunay(tin, xy)
+assert np.array_equal(found, locate_plain(index, xy))
+"""
+
+
+def test_places_near_edges_write_nothing_beyond_the_scratch_rows():
+    """Compiled code writes beyond an array without a word; Python does not."""
+    done = subprocess.run(
+        [sys.executable, "-c", NEAR_EDGES],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-800:]
