@@ -254,6 +254,15 @@ def test_noise_alone_is_no_roughness():
     assert mean_spacing(grid(40, 0.3)) == pytest.approx(0.3, rel=0.05)
 
 
+def test_what_scatters_beyond_its_noise_is_roughness_shorter_than_the_spacing():
+    rng = np.random.default_rng(17)
+    for n, parameters in ((40, 1), (30, 6)):
+        e = 0.02 * rng.standard_normal(n * n)
+        found = estimate_roughness(grid(n), e, np.full(n * n, 1e-4), parameters)
+        assert found.variance_m2 == pytest.approx(4e-4 - 1e-4, rel=0.15)
+        assert found.length_m < 1.0
+
+
 def test_an_exact_ground_has_no_roughness():
     xy = grid()
     with np.errstate(all="raise"):

@@ -14,6 +14,7 @@ import pytest
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.scan_frame import frame_along
+from ladar_volume.volume import floors as levels
 from ladar_volume.volume import published_methods
 from ladar_volume.volume.cutfill import cut_sequence
 from ladar_volume.volume.floors import (
@@ -169,6 +170,16 @@ def test_the_printed_sums_have_their_minimum_at_0_64():
     assert parabola_minimum(
         np.array([0.4, 0.6, 0.8, 1.0]), np.array([9652.648, 3336.779, 6552.811, 13630.473]) ** 2
     ) == pytest.approx(0.644, abs=5e-4)
+
+
+@pytest.mark.parametrize("foot", [-700.0, 0.0, 1000.0])
+def test_how_many_levels_are_too_many_whatever_the_height_above_the_sea(foot, monkeypatch):
+    monkeypatch.setattr(levels, "MAX_LEVELS", 100)
+    body = box(floor=foot, top=foot + 8.0)
+    assert len(floors(body, 8.0 / 93.0).level_m) > 0  # three more at both ends
+    with pytest.raises(VolumeError) as caught:
+        floors(body, 8.0 / 95.0)
+    assert caught.value.reason == "volume_levels"
 
 
 def test_sums_that_bend_down_have_no_minimum_between_those_tried():
