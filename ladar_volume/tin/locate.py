@@ -20,13 +20,8 @@ from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.space_curve import radix_order
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-<<<<<<< HEAD
 from ladar_volume.tin.insertion_order import hilbert_order
-from ladar_volume.tin.predicates import orientation, workspace
-=======
-from ladar_volume.tin.insertion_order import hilbert_order, radix_order
 from ladar_volume.tin.predicates import WORKSPACE, orientation, workspace
->>>>>>> 90c2667 (Locating places near edges no longer writes beyond the scratch rows of the exact predicates)
 
 LEAF = 4
 #: Steps of the curve's grid per axis, as a power of two.
