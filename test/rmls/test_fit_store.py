@@ -27,8 +27,8 @@ def fits_of(kept, voxels):
     count = np.array([len(kept[v]) for v in voxels], np.int64)
     members = np.concatenate([np.array(kept[v], np.int32) for v in voxels])
     found = blank_fits(np.array(voxels), np.cumsum(count) - count, members, OK)
-    time = np.array([sum(kept[v]) for v in voxels], np.int64)
-    return found._replace(used=count, time=time)
+    found.used[:], found.time[:] = count, [sum(kept[v]) for v in voxels]
+    return found
 
 
 def test_inliers_of_fits_stay_until_they_change():
