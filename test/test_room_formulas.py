@@ -239,7 +239,8 @@ def test_an_attitude_that_wanders_looks_like_a_place_by_the_ratio_of_what_both_d
     given = BudgetParameters()
     sizes = Sizes(0.02, 0.03, 0.0, 0.01, 5.0)
     bins = np.array([3, 8])
-    found = bin_covariances(bins, 2.0, 10.0, sizes, given)["attitude"]
+    white = np.full(2, 10.0), np.full(2, 10.0)
+    found = bin_covariances(bins, 2.0, white, sizes, given)["attitude"]
     wandering = 1.0 - given.attitude_bias_fraction - given.attitude_white_fraction
     expected = (0.03 / 0.02) ** 2 * wandering * 2.0 / (3.0 * given.tau_attitude_s)
     np.testing.assert_allclose(np.diag(found)[7:13], expected)

@@ -274,9 +274,8 @@ class Trajectory:
         p_antenna, v_map = interpolate_position(window, t, j - first)
         q, omega = self.attitude["q_map"][k], self.attitude["omega"][k]
         R = matrix_from_quaternion(q)
-        f = ((t - self._position.t_ns[j]) / (self._position.t_ns[j + 1] - self._position.t_ns[j]))[
-            :, None, None
-        ]
+        gap_ns = self._position.t_ns[j + 1] - self._position.t_ns[j]
+        f = ((t - self._position.t_ns[j]) / gap_ns)[:, None, None]
         C = np.zeros((len(k), 6, 6))
         C[:, :3, :3] = (1.0 - f) * self._position["C"][j] + f * self._position["C"][j + 1]
         C[:, 3:, 3:] = self.attitude["C"][k]
@@ -290,6 +289,7 @@ class Trajectory:
             omega_body=omega,
             C_nav=C,
             segment=self.attitude.tag[k],
+            fix_gap_s=(gap_ns * 1e-9).astype(np.float64),
         )
 
     def _position_window(self, lo: int, hi: int) -> PathWindow:

@@ -57,8 +57,8 @@ class SavedSurvey:
 
 
 def navigation_columns(bins: NavigationBins) -> message_tables.Columns:
-    """``navigation``: per time bin its index, number of platform states, sums of C_nav (36) and of
-    position and R_map_body (12).
+    """``navigation``: per time bin its index, number of platform states, sums of C_nav (36), of
+    position and R_map_body (12), and of fixes (2).
     """
     index, count, C, pose = bins.sums()
     return {
@@ -66,6 +66,7 @@ def navigation_columns(bins: NavigationBins) -> message_tables.Columns:
         "states": count.astype(np.uint32),
         "C_nav": C.reshape(-1, 36),
         "pose": pose.reshape(-1, 12),
+        "fixes": bins.fix_sums,
     }
 
 
@@ -164,7 +165,7 @@ def _surface_tables(file: Path) -> tuple[list[Any], list[Any], list[Any]]:
 
 def _settings(
     result: Mapping[str, Any], n: Mapping[str, npt.NDArray[Any]]
-) -> tuple[dict[str, dict[str, Any]], Datum | None, tuple[I64, I64, F64, F64]]:
+) -> tuple[dict[str, dict[str, Any]], Datum | None, tuple[I64, I64, F64, F64, F64 | None]]:
     """Parameters by section, the datum, and the sums of the table ``navigation``."""
     given = {
         s: {k: v for k, v in values.items() if v is not None}
@@ -176,6 +177,7 @@ def _settings(
         n["states"].astype(np.int64),
         n["C_nav"].reshape(-1, 6, 6),
         n["pose"].reshape(-1, 4, 3),
+        n["fixes"].reshape(-1, 2) if "fixes" in n else None,
     )
     return given, datum, sums
 

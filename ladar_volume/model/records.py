@@ -148,7 +148,8 @@ class PlatformStates:
     3) m/s, velocity of the IMU origin in the body frame · omega_body : (n, 3) rad/s · C_nav : (n,
     6, 6), antenna position (map, m²) and attitude (body rotation vector, rad²): the navigation's
     total covariance, before its split into bias, Markov and white parts · segment : (n,) int64,
-    changes where a gap in the trajectory forbids interpolation.
+    changes where a gap in the trajectory forbids interpolation · fix_gap_s : (n,) s, between the
+    fixes around; None where it is not known.
     """
 
     t_ns: I64
@@ -158,6 +159,7 @@ class PlatformStates:
     omega_body: F64
     C_nav: F64
     segment: I64
+    fix_gap_s: F64 | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -70,7 +70,8 @@ def platform_messages(
 ) -> list[Odometry]:
     """One Odometry per state: pose of the IMU origin, twist in the body frame, pose covariance
     about fixed axes (its position block is the antenna's). The first state after a gap has −1 in
-    twist.covariance[0]: nothing ties it to the one before. frames : of the map and of the body.
+    twist.covariance[0]: nothing ties it to the one before. twist.covariance[1] is the time between
+    the fixes around, s, 0 where it is not known. frames : of the map and of the body.
     """
     R = matrix_from_quaternion(states.q_map_body)
     T = np.zeros((len(states), 6, 6))
@@ -92,6 +93,8 @@ def platform_messages(
         m.pose.covariance = covariance[i].ravel()
         if last_segment is None or int(states.segment[i]) != last_segment:
             m.twist.covariance[0] = -1.0
+        if states.fix_gap_s is not None:
+            m.twist.covariance[1] = float(states.fix_gap_s[i])
         last_segment = int(states.segment[i])
         messages.append(m)
     return messages
@@ -128,4 +131,7 @@ def platform_state(messages: list[Any], segment: int) -> tuple[PlatformStates, i
     T = np.zeros((n, 6, 6))
     T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), matrix_from_quaternion(q).transpose(0, 2, 1)
     t_ns = np.array([stamp_ns(m) for m in messages], np.int64)
-    return PlatformStates(t_ns, p, q, v, w, T @ C @ T.transpose(0, 2, 1), segments), segment
+    gap_s = np.array([m.twist.covariance[1] for m in messages], np.float64)
+    gap_s[~(gap_s > 0.0)] = np.nan
+    states = PlatformStates(t_ns, p, q, v, w, T @ C @ T.transpose(0, 2, 1), segments, gap_s)
+    return states, segment

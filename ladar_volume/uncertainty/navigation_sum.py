@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.se3 import matrix_from_quaternion
@@ -22,8 +24,8 @@ from ladar_volume.model.records import F64, I64, Bool, PlatformStates
 
 
 class NavigationBins:
-    """Mean C_nav and pose of the platform states in every time bin; the sums run in order of time,
-    whatever the batches.
+    """Mean C_nav and pose of the platform states in every time bin, and how many fixes they come
+    from; the sums run in order of time, whatever the batches.
 
     bin_s : length of a bin, s. Bin index is ``floor(t / bin_s)``.
     """
@@ -34,6 +36,9 @@ class NavigationBins:
         self.count: I64 = np.zeros(0, np.int64)
         self._sum: F64 = np.zeros((0, 6, 6))
         self.pose_sums: F64 = np.zeros((0, 4, 3))
+        # time that states cover, s, and its product with the time between fixes, s²
+        self.fix_sums: F64 = np.zeros((0, 2))
+        self._last_ns: int | None = None
         self._roots: F64 = np.zeros((0, 2, 3, 3))
         self._rooted: Bool = np.zeros(0, np.bool_)
 
@@ -43,21 +48,17 @@ class NavigationBins:
         index = np.union1d(self.index, bins)
         if len(index) != len(self.index):
             old = np.searchsorted(index, self.index)
-            total, pose, count = (
-                np.zeros((len(index), 6, 6)),
-                np.zeros((len(index), 4, 3)),
-                np.zeros(len(index), np.int64),
-            )
-            total[old], pose[old], count[old] = self._sum, self.pose_sums, self.count
-            roots, rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
-            roots[old], rooted[old] = self._roots, self._rooted
-            self.index, self._sum, self.pose_sums, self.count, self._roots, self._rooted = (
-                index,
-                total,
-                pose,
-                count,
-                roots,
-                rooted,
+            self.index = index
+            self._sum, self.pose_sums, self.fix_sums, self.count, self._roots, self._rooted = (
+                spread(of, old, len(index))
+                for of in (
+                    self._sum,
+                    self.pose_sums,
+                    self.fix_sums,
+                    self.count,
+                    self._roots,
+                    self._rooted,
+                )
             )
         row = np.searchsorted(self.index, bins)
         pose = np.concatenate(
@@ -68,7 +69,21 @@ class NavigationBins:
             self._sum, row, states.C_nav
         )  # one by one, in order: the same bits for any batching
         np.add.at(self.count, row, 1)
+        np.add.at(self.fix_sums, row, self._covered(states))
         self._rooted[row] = False
+
+    def _covered(self, states: PlatformStates) -> F64:
+        """What states add to the sums of fixes (n, 2): a state covers the time since the one
+        before, no more than from fix to fix.
+        """
+        gap = np.full(len(states), np.nan) if states.fix_gap_s is None else states.fix_gap_s
+        if not len(states):
+            return np.zeros((0, 2))
+        first = states.t_ns[0] if self._last_ns is None else self._last_ns
+        self._last_ns = int(states.t_ns[-1])
+        since_s = np.diff(states.t_ns, prepend=first) * 1e-9
+        covered = np.where(since_s > gap, gap, since_s)
+        return np.stack([covered, covered * gap], axis=1)
 
     def sums(self) -> tuple[I64, I64, F64, F64]:
         """Bins (k,), number of states (k,), sums of their C_nav (k, 6, 6) and of position and
@@ -78,10 +93,17 @@ class NavigationBins:
 
     @classmethod
     def from_sums(
-        cls, bin_s: float, index: I64, count: I64, C_nav: F64, pose: F64
+        cls,
+        bin_s: float,
+        index: I64,
+        count: I64,
+        C_nav: F64,
+        pose: F64,
+        fix_sums: F64 | None = None,
     ) -> NavigationBins:
-        """The inverse of :meth:`sums`."""
+        """The inverse of :meth:`sums`, with ``fix_sums`` (k, 2) where they are known."""
         out = cls(bin_s)
+        out.fix_sums = np.full((len(index), 2), np.nan) if fix_sums is None else fix_sums
         out.index, out.count, out._sum, out.pose_sums = index, count, C_nav, pose
         out._roots, out._rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
         return out
@@ -97,6 +119,18 @@ class NavigationBins:
         """
         row = self._rows(bins)
         return self._sum[row] / np.maximum(self.count[row], 1)[:, None, None], self.count[row]
+
+    def fixes(self, bins: I64, longest_s: float) -> F64:
+        """Fixes with errors of their own that the position in bins (k,) is a mean of: the time
+        covered over the mean time from fix to fix, where a long interval counts as long as it is.
+        At least one. Where it is not known, fixes ``longest_s`` apart. Raises as :meth:`mean`.
+        """
+        time_s, product = self.fix_sums[self._rows(bins)].T
+        known = product > 0.0
+        count = np.full(len(bins), self.bin_ns * 1e-9 / longest_s)
+        count[known] = time_s[known] ** 2 / product[known]
+        out: F64 = np.maximum(count, 1.0)
+        return out
 
     def roots(self, bins: I64) -> tuple[F64, F64]:
         """Symmetric roots (k, 3, 3) each of the mean covariances of position and attitude in bins
@@ -130,6 +164,13 @@ class NavigationBins:
                 reason="volume_no_navigation",
             )
         return row
+
+
+def spread(of: npt.NDArray[Any], old: I64, n: int) -> npt.NDArray[Any]:
+    """Rows ``of`` (k, ...) at places ``old`` (k,) of n, zeros between."""
+    out = np.zeros((n, *of.shape[1:]), of.dtype)
+    out[old] = of
+    return out
 
 
 def matrix_root(C: F64) -> F64:
@@ -177,16 +218,16 @@ def navigation_loads(
 ) -> NavigationLoads:
     """Loads of sensitivities J (k, 6) at ascending bins (k,).
 
-    The rate of the fixes is not known here, but no interval longer than ``max_fix_gap_s`` is
-    bridged, so a bin holds at least that many fixes: the white part of the position is divided by
-    this least number, that of the attitude by the number of states in the bin.
+    The white part of the position is divided by the number of fixes in the bin, that of the
+    attitude by the number of states. Where the fixes are not known they lie ``max_fix_gap_s``
+    apart, the longest interval that is bridged.
     """
     (position_root, attitude_root), count = known.roots(bins), known.mean(bins)[1]
     position = np.einsum("kij,kj->ki", position_root, J[:, :3])
     attitude = np.einsum("kij,kj->ki", attitude_root, J[:, 3:])
     bin_s = known.bin_ns * 1e-9
     t_s = (bins - (bins[0] if len(bins) else 0)) * bin_s
-    fixes = np.full(len(bins), max(1.0, bin_s / max_fix_gap_s))
+    fixes = known.fixes(bins, max_fix_gap_s)
     return NavigationLoads(
         t_s.astype(np.float64), position, attitude, fixes, np.maximum(count, 1).astype(np.float64)
     )

@@ -232,18 +232,19 @@ def rms(v: F64) -> float:
 
 
 def bin_covariances(
-    bins: I64, bin_s: float, least_fixes: float, sizes: Sizes, b: BudgetParameters
+    bins: I64, bin_s: float, white: tuple[F64, F64], sizes: Sizes, b: BudgetParameters
 ) -> dict[str, F64]:
-    """Covariances (7 + 6 k, 7 + 6 k) of the unit errors of k bins, by group. What a group's errors
+    """Covariances (7 + 6 k, 7 + 6 k) of the unit errors of k bins, by group. white : (k,) each, of
+    how many white errors a bin has the mean, in position and in attitude. What a group's errors
     change within a bin looks like other errors of that bin: a position that wanders while the
     platform moves on like a slope, an attitude that turns like a place.
     """
     k = len(bins)
     apart = np.abs(bins[:, None] - bins) * bin_s
 
-    def correlation(constant: float, white: float, tau_s: float) -> F64:
-        own = constant + (1.0 - constant - white) * np.exp(-apart / tau_s)
-        out: F64 = np.kron(own + white / least_fixes * np.eye(k), np.eye(3))
+    def correlation(constant: float, share: float, tau_s: float, independent: F64) -> F64:
+        own = constant + (1.0 - constant - share) * np.exp(-apart / tau_s)
+        out: F64 = np.kron(own + np.diag(share / independent), np.eye(3))
         return out
 
     blocks = {
@@ -252,11 +253,15 @@ def bin_covariances(
         "clock": (6, np.eye(1)),
         "position": (
             7,
-            correlation(b.position_bias_fraction, b.position_white_fraction, b.tau_position_s),
+            correlation(
+                b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, white[0]
+            ),
         ),
         "attitude": (
             7 + 3 * k,
-            correlation(b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s),
+            correlation(
+                b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, white[1]
+            ),
         ),
     }
     out = {}
@@ -326,8 +331,9 @@ def pass_differences(
     out, looks, bin_s = [], steady_looks(patches, rows, nav), nav.bin_ns * 1e-9
     if looks is not None:
         found, sizes = bin_residuals(patches, rows, looks, nav, b)
-        least_fixes = max(1.0, bin_s / max_fix_gap_s)
-        out.append(told_by(found, bin_covariances(looks.bins, bin_s, least_fixes, sizes, b)))
+        states = np.maximum(nav.mean(looks.bins)[1], 1).astype(np.float64)
+        white = nav.fixes(looks.bins, max_fix_gap_s), states
+        out.append(told_by(found, bin_covariances(looks.bins, bin_s, white, sizes, b)))
     beams = 2 * beam_count(patches)
     out.append(told_by(beam_residuals(patches, rows, b), {"beams": np.eye(beams)}))
     return [found for found in out if found is not None]

@@ -214,7 +214,8 @@ class Sources:
         C: F64 = upper_product(J @ self.C_cal, J)
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
         apart_s = np.append(np.diff(t_ns), 0) * 1e-9
-        fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
+        longest_s = self.parameters.georeference.max_position_gap_s
+        fixes = 1.0 / float((1.0 / self.navigation.fixes(self.time_bins[0], longest_s)).mean())
         # a mean time may lie where there are none
         states = max(1.0, float(self.navigation.mean(self.time_bins[0])[1].mean()))
         deviation = np.einsum("kp,kpc->kc", X, self.errors.deviation(row)[row])

@@ -1,5 +1,7 @@
 """Poses of the platform as messages and back: covariances about the axes of either frame."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -37,6 +39,12 @@ def test_messages_give_the_states_back():
     found, last = platform_state(messages, 5)
     for name in ("t_ns", "p_map_body", "q_map_body", "v_body", "omega_body", "C_nav", "segment"):
         np.testing.assert_allclose(getattr(found, name), getattr(given, name), atol=1e-15)
-    assert last == 6
+    assert last == 6 and np.isnan(found.fix_gap_s).all()
     begins = [m.twist.covariance[0] for m in messages]
     assert begins == [0.0, 0.0, -1.0, 0.0]
+
+
+def test_the_time_between_fixes_goes_along():
+    given = dataclasses.replace(states(), fix_gap_s=np.array([0.1, 0.1, 0.3, 0.1 + 1e-9]))
+    found, _ = platform_state(platform_messages(given, 5, ("map", "base_link")), 5)
+    np.testing.assert_array_equal(found.fix_gap_s, given.fix_gap_s)

@@ -67,6 +67,68 @@ def test_roots_are_made_anew_where_states_come():
         known.roots(bins[-1:] + 1)
 
 
+def with_fixes(seconds, gap_s, step_s=0.02):
+    """States every ``step_s`` over ``seconds``, between fixes that lie gap_s(t) apart."""
+    t = np.arange(0.0, seconds, step_s)
+    return dataclasses.replace(
+        select(platform(round(seconds)), np.zeros(len(t), np.int64)),
+        t_ns=np.rint(t * 1e9).astype(np.int64),
+        fix_gap_s=gap_s(t),
+    )
+
+
+def test_a_bin_holds_the_fixes_that_lie_in_it():
+    known = NavigationBins(2.0)
+    known.add(with_fixes(20.0, lambda t: np.full(len(t), 0.1)))
+    # the first state covers nothing
+    np.testing.assert_allclose(known.fixes(np.arange(1, 10), 0.6), 20.0)
+    assert known.fixes(np.array([0]), 0.6)[0] == pytest.approx(19.8)
+    rare = NavigationBins(2.0)
+    rare.add(with_fixes(20.0, lambda t: np.full(len(t), 5.0)))
+    np.testing.assert_allclose(rare.fixes(np.arange(10), 6.0), 1.0)
+
+
+def test_a_mean_over_uneven_fixes_has_the_variance_of_drawn_ones():
+    """A step of one second in a bin of two is one error over half of its time."""
+    edges = np.concatenate([np.linspace(0.0, 1.0, 11), [2.0]])
+    known = NavigationBins(2.0)
+    known.add(
+        with_fixes(2.0, lambda t: np.diff(edges)[np.searchsorted(edges, t, "right") - 1], 0.001)
+    )
+    rng = np.random.default_rng(5)
+    means = rng.standard_normal((20_000, 11)) @ np.diff(edges) / 2.0
+    assert known.fixes(np.array([0]), 3.0)[0] == pytest.approx(1.0 / means.var(), rel=0.05)
+
+
+def test_part_of_a_bin_holds_part_of_the_fixes_and_a_pause_none():
+    states = with_fixes(4.0, lambda t: np.full(len(t), 0.1))
+    t = states.t_ns * 1e-9
+    known = NavigationBins(2.0)
+    known.add(select(states, (t < 0.5) | (t >= 1.5)))
+    # 0.48 s, one interval of fixes at most across the pause, and 0.48 s
+    assert known.fixes(np.array([0]), 0.6)[0] == pytest.approx(10.6)
+
+
+def test_fixes_are_counted_alike_in_any_batches_and_read_back():
+    states = with_fixes(30.0, lambda t: 0.1 + 0.3 * (t > 11.0))
+    whole, parts = NavigationBins(2.0), NavigationBins(2.0)
+    whole.add(states)
+    for rows in np.array_split(np.arange(len(states)), 17):
+        parts.add(select(states, rows))
+    np.testing.assert_array_equal(whole.fix_sums, parts.fix_sums)
+    back = NavigationBins.from_sums(2.0, *whole.sums(), whole.fix_sums)
+    np.testing.assert_array_equal(back.fixes(back.index, 0.6), whole.fixes(whole.index, 0.6))
+
+
+def test_fixes_that_are_not_known_lie_as_far_apart_as_may_be():
+    states = platform(60)
+    known, bin_s = NavigationBins(1.0), 1.0
+    known.add(states)
+    np.testing.assert_allclose(known.fixes(known.index, 0.25), 4.0)
+    old = NavigationBins.from_sums(bin_s, *known.sums())
+    np.testing.assert_allclose(old.fixes(old.index, 0.25), 4.0)
+
+
 def test_parts_in_their_limits():
     rng = np.random.default_rng(1)
     t, y, count = np.arange(50.0), rng.standard_normal((50, 3)), np.full(50, 5.0)

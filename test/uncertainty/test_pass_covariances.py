@@ -25,8 +25,9 @@ def at_speed(speed_mps):
     return Sizes(*SIZES[:4], speed_mps)
 
 
-def blocks(sizes=SIZES, given=GIVEN, bins=(3, 4, 9), bin_s=2.0, fixes=10.0):
-    return bin_covariances(np.array(bins), bin_s, fixes, sizes, given)
+def blocks(sizes=SIZES, given=GIVEN, bins=(3, 4, 9), bin_s=2.0, fixes=10.0, states=50.0):
+    white = np.full(len(bins), fixes), np.full(len(bins), states)
+    return bin_covariances(np.array(bins), bin_s, white, sizes, given)
 
 
 def test_slopes_of_a_walk_are_those_of_drawn_ones():
@@ -74,8 +75,10 @@ def test_beams_in_common_look_like_a_pitch():
     np.testing.assert_allclose(more, np.diag(expected), atol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "first"), [("position", 7), ("attitude", 16)])
-def test_bins_are_correlated_by_the_time_between_them_and_axes_are_not(name, first):
+@pytest.mark.parametrize(
+    ("name", "first", "white"), [("position", 7, 10.0), ("attitude", 16, 50.0)]
+)
+def test_bins_are_correlated_by_the_time_between_them_and_axes_are_not(name, first, white):
     given = dataclasses.replace(
         GIVEN,
         position_bias_fraction=0.2,
@@ -88,7 +91,7 @@ def test_bins_are_correlated_by_the_time_between_them_and_axes_are_not(name, fir
     )
     found = blocks(given=given)[name][first : first + 9, first : first + 9]
     apart = np.array([[0.0, 2.0, 12.0], [2.0, 0.0, 10.0], [12.0, 10.0, 0.0]])
-    expected = 0.2 + 0.7 * np.exp(-apart / 7.0) + 0.1 / 10.0 * np.eye(3)
+    expected = 0.2 + 0.7 * np.exp(-apart / 7.0) + 0.1 / white * np.eye(3)
     for axis in range(3):
         np.testing.assert_allclose(found[axis::3, axis::3], expected)
         assert not found[axis::3, (axis + 1) % 3 :: 3].any()

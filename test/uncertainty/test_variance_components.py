@@ -150,7 +150,8 @@ def test_effects_are_those_of_the_lidar_equation():
         assert seen == pytest.approx(made.normal * b.position_sigma_m)
         assert not found.A[~own, 7 + 3 * e : 10 + 3 * e].any()
     assert found.returns == pytest.approx(10.0) and sizes.position_m < 0.022
-    C = bin_covariances(looks.bins, 1.0, 10.0, sizes, b)["position"][7:, 7:]
+    white = np.full(BINS, 10.0), np.full(BINS, 1.0)
+    C = bin_covariances(looks.bins, 1.0, white, sizes, b)["position"][7:, 7:]
     assert C[0, 3] == pytest.approx(0.2 + 0.7 * math.exp(-1.0 / 300.0))
     assert C[0, 0] == pytest.approx(0.2 + 0.7 + 0.01)
 
