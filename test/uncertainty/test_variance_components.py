@@ -8,7 +8,7 @@ import pytest
 from volume_surfaces import T0, normal_frame
 
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import Patches, PlatformStates
+from ladar_volume.model.records import Patches, PlatformStates, select
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import pass_agreement, patch_scatter
 from ladar_volume.uncertainty.pass_differences import (
@@ -29,7 +29,7 @@ FIRST = T0 // BIN_NS
 
 
 def flight():
-    """Bins of a platform at 20 m that flies to and fro, and their poses."""
+    """Bins of a platform at 20 m that flies to and fro, ten states and fixes each, and their poses."""
     t = np.arange(BINS)
     back = t % 2 == 1
     p = np.stack([np.zeros(BINS), np.linspace(-12.0, 12.0, BINS), np.full(BINS, 20.0)], axis=1)
@@ -38,8 +38,10 @@ def flight():
     C[:, range(3), range(3)] = np.square(BUDGET.position_sigma_m)
     C[:, range(3, 6), range(3, 6)] = np.square(BUDGET.attitude_sigma_rad)
     nav = NavigationBins(1.0)
-    still = np.zeros((BINS, 3))
-    nav.add(PlatformStates((FIRST + t) * BIN_NS, p, q, still, still, C, np.zeros(BINS, np.int64)))
+    still, segment = np.zeros((BINS, 3)), np.zeros(BINS, np.int64)
+    states = PlatformStates((FIRST + t) * BIN_NS, p, q, still, still, C, segment)
+    every = select(states, np.repeat(t, 10))
+    nav.add(dataclasses.replace(every, t_ns=FIRST * BIN_NS + np.arange(10 * BINS) * BIN_NS // 10))
     return nav, p, np.where(back, -1.0, 1.0)
 
 
