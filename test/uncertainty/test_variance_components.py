@@ -29,7 +29,7 @@ FIRST = T0 // BIN_NS
 
 
 def flight():
-    """Bins of a platform at 20 m that flies to and fro, ten states and fixes each, and their poses."""
+    """Bins, of ten states each, of a platform at 20 m that flies to and fro, and their poses."""
     t = np.arange(BINS)
     back = t % 2 == 1
     p = np.stack([np.zeros(BINS), np.linspace(-12.0, 12.0, BINS), np.full(BINS, 20.0)], axis=1)
