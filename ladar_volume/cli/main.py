@@ -17,6 +17,7 @@ from typing import Any
 
 from ladar_volume.cli.arguments.lines import Parser, one_line, printable, shown_name
 from ladar_volume.cli.help.examples import add_examples
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.process.switch import own_process
 from ladar_volume.version import version
@@ -120,8 +121,8 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 
 def make_parser(wanted: str | None) -> argparse.ArgumentParser:
-    """The parser of the command line; of the verbs only ``wanted`` has its options, or all for
-    None.
+    """The parser of the command line; of the verbs only ``wanted`` has its options, none for an
+    empty word, or all for None.
     """
     parser = Parser(
         prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust."
@@ -136,7 +137,7 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
             importlib.import_module(module).add_parser(verbs)
             add_examples(name, verbs.choices[name])
         else:
-            verbs.add_parser(name, add_help=False)
+            verbs.add_parser(name, help=SUMMARIES[name], add_help=False)
     info = verbs.add_parser("info", help="what a recording holds")
     info.add_argument("bag", type=Path)
     info.add_argument("--json", action="store_true")
@@ -220,9 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
     own_process()
     words = list(sys.argv[1:] if argv is None else argv)
-    verb = next((w for w in words if not w.startswith("-")), None)
-    if words == ["--version"]:
-        verb = ""  # no verb's options are needed for it
+    verb = next((w for w in words if not w.startswith("-")), "")
     parser = make_parser(verb)
     if lost := next((w for w in words if w.startswith("--") and w.endswith("=--")), None):
         parser.error(f"{lost}: no value")  # argparse takes it for an empty list

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.cli.main import MODULES, main
 
 ROOT = Path(__file__).parents[2]
@@ -51,6 +52,27 @@ def test_every_verb_explains_itself_with_little_loaded():
 def test_the_tool_explains_itself_with_little_loaded(word):
     done = blocked(word)
     assert done.returncode == 0 and "ladar_volume" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["--quiet", "-h"]])
+def test_no_verb_is_loaded_where_none_is_named(words):
+    code = f"""if True:
+        import contextlib, io, sys
+        from ladar_volume.cli.main import MODULES, main
+        with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+            main({words!r})
+        assert "ladar_volume" in out.getvalue()
+        loaded = [m for m in ("numpy", "rich", *MODULES.values()) if m in sys.modules]
+        assert not loaded, loaded
+    """
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_verb_has_its_line_in_the_help():
+    assert list(SUMMARIES) == list(MODULES) and all(SUMMARIES.values())
+    shown = " ".join(blocked("--help").stdout.split())
+    assert all(line in shown for line in SUMMARIES.values())
 
 
 REFUSED = {

@@ -12,6 +12,7 @@ from ladar_volume.cli.arguments.parameter_flags import add_ground_preset, add_pa
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.io.endings import CLOUD_ENDINGS, ENDINGS, READ_ENDINGS
 
 
@@ -39,7 +40,7 @@ def add_parser(subparsers: Verbs) -> None:
     kinds = " ".join(dict.fromkeys([*CLOUD_ENDINGS, *READ_ENDINGS]))
     parser = subparsers.add_parser(
         "body",
-        help="volumes of closed bodies, from a point cloud or a mesh file",
+        help=SUMMARIES["body"],
         description="A cloud is filtered, its ground found, each object on it meshed, its edges "
         "completed and its unseen bottom closed on "
         "the ground; a mesh file is taken as it is, and closed where it is open. Lengths "

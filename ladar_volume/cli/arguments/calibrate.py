@@ -9,6 +9,7 @@ from ladar_volume.cli.arguments import calibrate_strips
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter, spec_of
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.model.choices import USES
 
 ANGLES = ("boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg")
@@ -26,9 +27,7 @@ COLUMNS: dict[str, tuple[str, int]] = {
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb and its modes."""
-    parser = subparsers.add_parser(
-        "calibrate", help="calibration constants and their sigmas, as a parameter file"
-    )
+    parser = subparsers.add_parser("calibrate", help=SUMMARIES["calibrate"])
     modes = parser.add_subparsers(dest="mode", required=True, metavar="MODE")
     repeats = modes.add_parser(
         "repeats",

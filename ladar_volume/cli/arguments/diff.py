@@ -14,6 +14,7 @@ from ladar_volume.cli.arguments.parameter_flags import number
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.model.choices import CORRECTIONS
 
 
@@ -21,10 +22,7 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "diff",
-        help=(
-            "volume between two scans by tetrahedra to a pole, for pits with steep and "
-            "overhanging walls"
-        ),
+        help=(SUMMARIES["diff"]),
         description="What was taken away from A (before) to B (after), as Kern does it: both scans "
         "are triangulated about their scanners "
         "and cut by one common ring; the tetrahedra of both and a pole are summed. "

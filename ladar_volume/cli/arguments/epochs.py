@@ -12,6 +12,7 @@ from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.model.choices import CALIBRATION_GROUPS, CLEAN
 
 #: Options of a surface that the verb has itself.
@@ -22,7 +23,7 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "epochs",
-        help="change between two surveys, with level of detection",
+        help=SUMMARIES["epochs"],
         description="NEW minus PREVIOUS over the common footprint. Both are results (folders that "
         "'replay' or volume_node's ~/save wrote), recordings, which are replayed first, or point "
         "clouds and meshes. The calibration of surveys counts as common to both, but for the clock "

@@ -10,6 +10,7 @@ from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.endings import CLOUD_ENDINGS
 from ladar_volume.model.choices import KEEPABLE
@@ -20,7 +21,7 @@ def add_parser(subparsers: Verbs) -> None:
     kinds = " ".join(CLOUD_ENDINGS)
     parser = subparsers.add_parser(
         "filter",
-        help="filter a point cloud file: outliers out, noise down, edges kept",
+        help=SUMMARIES["filter"],
         description="Robust moving least squares on a point cloud file. Without --radius, --preset "
         "or --set filter.radius_m=..., radius, "
         "degree and threshold are estimated from the cloud (--auto).",

@@ -7,8 +7,6 @@ import re
 from collections.abc import Sequence
 from typing import NoReturn, TypeAlias
 
-from rich.markup import escape
-
 from ladar_volume.cli.help.near_misses import hint
 
 #: Where a verb, a mode or a study declares its parser.
@@ -34,6 +32,8 @@ def one_line(text: str, most: int = MESSAGE) -> str:
 
 def shown_name(name: object) -> str:
     """A name from outside for a rich table or line: its brackets are no markup."""
+    from rich.markup import escape
+
     return escape(one_line(str(name), 120))
 
 

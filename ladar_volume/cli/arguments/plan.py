@@ -7,13 +7,14 @@ from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "plan",
-        help="predict the volume's sigma before the flight",
+        help=SUMMARIES["plan"],
         description="Predicts sigma and budget of a stockpile's volume from its size, the flight, "
         "the scanner and the error budget, with "
         "the survey's own filter, surface and propagation on sampled returns.",

@@ -8,13 +8,14 @@ from pathlib import Path
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "register",
-        help="transform between two frames from reference spheres",
+        help=SUMMARIES["register"],
         description="A and B hold points on the spheres, at least 12 each, with a column 'sphere' "
         "that numbers them alike in both (wrong numbers are found by the distances between the "
         "centres), and optionally 't' (seconds), by which it is tested that each stood still. The "

@@ -9,6 +9,7 @@ from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 #: Most estimates on the way of a replay.
 MOST_STATIONS = 100
@@ -16,7 +17,7 @@ MOST_STATIONS = 100
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
-    parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
+    parser = subparsers.add_parser("replay", help=SUMMARIES["replay"])
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, ROS 1 .bag, or .pcap")
     parser.add_argument(
         "more",

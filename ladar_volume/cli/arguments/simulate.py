@@ -8,6 +8,7 @@ from pathlib import Path
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 
 def _span(text: str) -> tuple[float, float]:
@@ -20,9 +21,7 @@ def _span(text: str) -> tuple[float, float]:
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
-    parser = subparsers.add_parser(
-        "simulate", help="simulate a survey of a scene with a known volume"
-    )
+    parser = subparsers.add_parser("simulate", help=SUMMARIES["simulate"])
     parser.add_argument(
         "scene",
         help=(

@@ -10,6 +10,7 @@ from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
 
 
@@ -17,8 +18,7 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "tin",
-        help="triangulate a point cloud file, with all of its points or the few that "
-        "represent them",
+        help=SUMMARIES["tin"],
         description=(
             "A TIN over a point cloud by adaptive insertion, its heights adjusted to all "
             "points. Lengths in m."

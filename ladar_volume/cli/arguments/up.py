@@ -9,11 +9,12 @@ from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.replay import add_common
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
-    parser = subparsers.add_parser("up", help="run the nodes; with --play over a recording")
+    parser = subparsers.add_parser("up", help=SUMMARIES["up"])
     parser.add_argument(
         "--play",
         type=Path,

@@ -18,6 +18,7 @@ from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
 from ladar_volume.model.piles import PILE_BASES
 
@@ -38,7 +39,7 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "volume",
-        help="cut and fill of a point cloud file above a base, or between two",
+        help=SUMMARIES["volume"],
         description=(
             "Cut, fill and net volume with their standard deviations from the noise of the "
             "points. Lengths in m."

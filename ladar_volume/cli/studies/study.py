@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.cli.studies.study_bodies import add_studies
 from ladar_volume.cli.studies.study_coverage import add_coverage
 from ladar_volume.cli.studies.study_record import add_outputs, run_study
@@ -19,7 +20,7 @@ from ladar_volume.cli.studies.study_wild import add_wild
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb and its studies."""
-    parser = subparsers.add_parser("study", help="repeat a published experiment on simulated data")
+    parser = subparsers.add_parser("study", help=SUMMARIES["study"])
     studies = parser.add_subparsers(dest="study", required=True, metavar="STUDY")
     nist = studies.add_parser(
         "nist",

@@ -8,6 +8,7 @@ from pathlib import Path
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import number
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.io.export.formats import FORMATS, USUAL
 
 
@@ -15,7 +16,7 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "export",
-        help="files of a replayed survey for other programs",
+        help=SUMMARIES["export"],
         description=(
             "Surface, base, outline, contours and points of a replayed survey as files for other "
             "programs. Without --crs in the survey's own east, north, up: true lengths in m."

@@ -9,13 +9,14 @@ from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.volume import add_volume_options
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "sites",
-        help="the volumes of many surveys in one table, and their change from time to time",
+        help=SUMMARIES["sites"],
         description=(
             "The volume of every point cloud and mesh below a folder, as 'volume' computes it, in "
             "one table with the change since the survey before. A date in a name (2026-05-31 or "

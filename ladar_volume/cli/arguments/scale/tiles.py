@@ -15,13 +15,14 @@ from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.cli.help.summaries import SUMMARIES
 
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "tiles",
-        help="cut and fill of a cloud larger than the memory, by tiles, on as many workers",
+        help=SUMMARIES["tiles"],
         description=(
             "Cut, fill and net volume of a LAS, LAZ or COPC file above a level, a plane or its own "
             "ground, by square tiles at rest on disk: what one triangulation of all points gives. "
