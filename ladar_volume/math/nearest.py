@@ -1,9 +1,9 @@
 """The nearest points of a cloud that lies in memory along a curve, neighbours beside neighbours.
 
-Groups of consecutive points have boxes, and a complete binary tree of boxes stands above them. Each
-search begins with an upper bound of the distance to the k-th nearest point: from the answer for the
-place before, or from any k consecutive points. It collects the points within that bound and selects
-the k nearest. The answer does not depend on the order of the points; the time does.
+Groups of consecutive points have boxes, and a complete binary tree of boxes stands above them. The
+points near a block of places are gathered at once, within what was far enough for the block before;
+where that is not enough a place searches alone, nearer boxes first. The answer does not depend on
+the order of the points; the time does.
 """
 
 from __future__ import annotations
@@ -23,10 +23,6 @@ from ladar_volume.math.normal_equations import select_kth
 GROUP, CHUNKS = 16, 64
 #: Places of a block, room for the points near one, and what is more than enough for the next.
 BLOCK, ROOM, WIDER = 24, 512, 1.2
-#: Groups whose boxes hold a place that are asked for a first bound.
-HELD = 8
-#: Factor by which rounding may raise a squared distance.
-MARGIN = 1.0 + 1e-12
 
 
 class NearestIndex(NamedTuple):
@@ -71,44 +67,42 @@ def square_to_box(box: F64, place: F64) -> float:
 
 
 @leaf_kernel
-def farthest_about(index: NearestIndex, group: int, place: F64, k: int) -> float:
-    """Square of the distance from a place (3,) to the farthest of k consecutive points about a
-    group.
-    """
-    points, out = index.points, 0.0
-    first = group * GROUP + (GROUP - k) // 2
-    first = max(min(first, len(points) - k), 0)
-    for i in range(first, min(first + k, len(points))):
-        out = max(out, square_to(points, i, place))
-    return out
+def insert_square(best: F64, square: float) -> None:
+    """Put a number below the last of the ascending ``best`` (k,) in its place; the last goes."""
+    i = len(best) - 1
+    while i > 0 and best[i - 1] > square:
+        best[i] = best[i - 1]
+        i -= 1
+    best[i] = square
 
 
 @leaf_kernel
-def bound_of(index: NearestIndex, place: F64, k: int, stack: I64) -> float:
-    """An upper bound of the square of the distance to the k-th nearest point: the least of those
-    that points about the groups give whose boxes hold the place, :data:`HELD` of them at most;
-    where none does, about the group that lies down the path of the nearer child.
+def kth_square(index: NearestIndex, place: F64, best: F64, stack: I64) -> float:
+    """The square of the distance to the k-th nearest point, with those of all k in ``best`` (k,):
+    nearer boxes are looked at first, and none that is farther than the k-th point so far.
     """
-    boxes, groups, out = index.boxes, len(index.boxes) // 2, np.inf
-    stack[0], top, held = 1, 1, 0
-    while top > 0 and held < HELD:
+    points, boxes = index.points, index.boxes
+    groups = len(boxes) // 2
+    best[:] = np.inf
+    stack[0], top = 1, 1
+    while top > 0:
         top -= 1
         node = stack[top]
-        if square_to_box(boxes[node], place) > 0.0:
+        if square_to_box(boxes[node], place) > best[-1]:
             continue
-        if node < groups:
-            stack[top], stack[top + 1] = 2 * node + 1, 2 * node
-            top += 2
-            continue
-        held += 1
-        out = min(out, farthest_about(index, node - groups, place, k))
-    if held > 0:
-        return out
-    node = 1
-    while node < groups:
-        left, right = boxes[2 * node], boxes[2 * node + 1]
-        node = 2 * node + (square_to_box(right, place) < square_to_box(left, place))
-    return farthest_about(index, node - groups, place, k)
+        while node < groups:
+            left = square_to_box(boxes[2 * node], place)
+            right = square_to_box(boxes[2 * node + 1], place)
+            nearer = np.int64(right < left)
+            if max(left, right) <= best[-1]:
+                stack[top] = 2 * node + 1 - nearer
+                top += 1
+            node = 2 * node + nearer
+        for i in range((node - groups) * GROUP, min((node - groups + 1) * GROUP, len(points))):
+            d = square_to(points, i, place)
+            if d < best[-1]:
+                insert_square(best, d)
+    return best[-1]
 
 
 @leaf_kernel
@@ -244,13 +238,12 @@ def search_one(index: NearestIndex, place: F64, k: int, out: I32) -> float:
     the distance to the last of them.
     """
     rows, square, stack = np.empty(64, np.int64), np.empty(64), np.empty(128, np.int64)
-    bound = MARGIN * bound_of(index, place, k, stack)
-    count = collect(index, place, bound, rows, square, stack)
-    if count > len(rows):
-        rows, square = np.empty(count, np.int64), np.empty(count)
-        count = collect(index, place, bound, rows, square, stack)
-    last: float = select_kth(square[:count].copy(), count, k - 1)
+    last: float = kth_square(index, place, square[:k] if k <= 64 else np.empty(k), stack)
     if len(out):
+        count = collect(index, place, last, rows, square, stack)
+        if count > len(rows):
+            rows, square = np.empty(count, np.int64), np.empty(count)
+            count = collect(index, place, last, rows, square, stack)
         write_nearest(rows, square, count, last, out)
     return last
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.clouds.sampling.isolation import second_neighbour_distance
-from ladar_volume.math.nearest import nearest, nearest_index
+from ladar_volume.math.nearest import collect, kth_square, nearest, nearest_index
 from ladar_volume.math.space_curve import BITS, curve_order
 from ladar_volume.tin.insertion_order import hilbert_order
 
@@ -68,3 +68,19 @@ def test_the_second_neighbour_is_that_of_brute_force() -> None:
     wanted = np.sort(far, axis=1)[:, 2]
     assert np.allclose(second_neighbour_distance(EVEN), wanted, rtol=1e-13, atol=0)
     assert second_neighbour_distance(EVEN[:1]) == [0.0]
+
+
+def test_a_post_costs_no_more_than_ground() -> None:
+    """Groups along a curve over the plane are as high as the post: boxes that hold a place tell
+    little, and a search that took all that is as near as these are high would look at every point.
+    """
+    rng = np.random.default_rng(3)
+    post = rng.uniform(0, [0.01, 0.01, 100.0], (4000, 3))
+    post = post[hilbert_order(post[:, :2])]
+    index, best, stack = nearest_index(post), np.empty(3), np.empty(128, np.int64)
+    for place in post[::400]:
+        square = np.sort(((post - place) ** 2).sum(axis=1))[:3]
+        last = kth_square(index, place, best, stack)
+        assert last == best[-1] and np.allclose(best, square, rtol=1e-13, atol=0)
+        rows, near = np.empty(64, np.int64), np.empty(64)
+        assert collect(index, place, last, rows, near, stack) == 3
