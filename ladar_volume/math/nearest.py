@@ -102,7 +102,8 @@ def kth_square(index: NearestIndex, place: F64, best: F64, stack: I64) -> float:
             d = square_to(points, i, place)
             if d < best[-1]:
                 insert_square(best, d)
-    return best[-1]
+    last: float = best[-1]
+    return last
 
 
 @leaf_kernel
