@@ -185,3 +185,17 @@ def test_the_turn_between_two_sweeps_is_that_of_the_scanner(turn):
 
     R = Rotation.from_rotvec(turn).as_matrix()
     np.testing.assert_allclose(turn_between(seen(np.eye(3)), seen(R)), turn, atol=0.004)
+
+
+def test_a_scanner_that_is_blind_behind_tells_its_turn_by_what_it_sees_ahead():
+    d, ring = directions()
+    ahead = np.abs(np.arctan2(d[:, 1], d[:, 0])) < 0.5 * np.pi
+    d, ring = d[ahead], ring[ahead]
+    place, zero, turn = np.array([0.0, 0.0, 1.5]), np.zeros(len(ring), np.int64), (0.01, -0.01, 0.1)
+
+    def seen(R):
+        far = in_room(place, d @ R.T)
+        return sweep_image(Returns(zero, far[:, None] * d, ring, np.ones(len(ring))), 0.0)
+
+    R = Rotation.from_rotvec(turn).as_matrix()
+    np.testing.assert_allclose(turn_between(seen(np.eye(3)), seen(R)), turn, atol=0.004)
