@@ -4,6 +4,7 @@ rotations drawn at random.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -172,6 +173,11 @@ def test_a_single_patch_turns_about_the_sensor(yaw):
     # the platform stands where it saw the patch: only then is the mean position exact
     known.pose_sums[:, 0] = known.count[:, None] * sensor[0]
     H = curvatures(q, patches, known).sum(axis=0)
+    # wherever in the map both are
+    away = np.array([5.0, -3.0, 2.0])
+    known.pose_sums[:, 0] += known.count[:, None] * away
+    moved = dataclasses.replace(patches, centre=patches.centre + away)
+    np.testing.assert_allclose(curvatures(q, moved, known).sum(axis=0), H, rtol=1e-9, atol=1e-9)
     R, d = exp_so3(np.array([0.0, 0.0, yaw])), patches.centre[0] - sensor[0]
     for theta in 1e-3 * np.random.default_rng(1).standard_normal((6, 3)):
         T = R @ exp_so3(theta) @ R.T
