@@ -20,9 +20,9 @@ from scipy import ndimage
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.math.kernels import kernel
-from ladar_volume.math.own_axes import along_own_axes, raster_between, raster_of
+from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.full_tin import build_tin, first_corners
 from ladar_volume.tin.locate import barycentric, locate_in_delaunay
 from ladar_volume.tin.relevant import circle_kernel
 from ladar_volume.tin.sampled_area import FEWEST, spacings
@@ -95,65 +95,71 @@ def between_points(
         return BetweenPoints(0.0, 0.0, hidden)
     seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing, own)
     finest, near = wide(tin, seen), near_triangles(tin, own, seen, spacing)
-    squares, totals, noises, ratios, few = [], [], [], [], []
-    shifts = SHIFTS[: math.ceil(ENOUGH / np.count_nonzero(seen > 0))]
-    for shift in shifts:
+    found = []
+    for shift in shifts_for(int(np.count_nonzero(seen > 0))):
         kept = thin_by_spacing(own, spacing, shift)
         if len(kept) < FEWEST // 4:
             return BetweenPoints(0.0, 0.0, hidden)
-        blocks, noise, size = coarser(surface, seen, kept[near[kept]], own)
-        ratios.append(size / max(finest, 1e-300))
+        found.append(coarser(surface, seen, kept[near[kept]], own))
+    return from_coarser(found, finest, share, hidden)
+
+
+def shifts_for(triangles: int) -> tuple[tuple[float, float], ...]:
+    """The shifts of the cells at which so many triangles are compared."""
+    return SHIFTS[: math.ceil(ENOUGH / triangles)]
+
+
+def from_coarser(
+    found: list[tuple[F64, float, float]], finest: float, share: float, hidden: float
+) -> BetweenPoints:
+    """What lies between points whose triangles are as wide as ``finest``, m, from what
+    :func:`coarser` tells of ``share`` of the area.
+    """
+    squares, totals, few = [], [], []
+    for blocks, _, _ in found:
         squares.append(float((blocks**2).sum()))
         # a variance from few blocks is itself uncertain
         few.append(2.0 * float((blocks**4).sum()) / max(squares[-1] ** 2, 1e-300))
         totals.append(float(blocks.sum()))
-        noises.append(noise)
-    ratio, square = float(np.median(ratios)), float(np.mean(squares))
+    noise = float(np.mean([noise for _, noise, _ in found]))
+    ratio = float(np.median([size / max(finest, 1e-300) for _, _, size in found]))
+    square = float(np.mean(squares))
     if not ratio > 1.2:
         return BetweenPoints(0.0, 0.0, hidden)
     more = 1.0 + float(np.mean(few))
-    random = more * max(square - float(np.mean(noises)), 0.0) / (ratio**3 - 1.0)
+    random = more * max(square - noise, 0.0) / (ratio**3 - 1.0)
     # chance alone makes a sum of twice the root of its squares
     total = float(np.mean(totals))
-    excess = total**2 - CHANCE**2 * max(square, float(np.mean(noises)))
+    excess = total**2 - CHANCE**2 * max(square, noise)
     drift = abs(total) / (ratio**2 - 1.0) if excess > 0 else 0.0
     return BetweenPoints(random / share, drift / share, hidden)
 
 
-@kernel
-def extent_at(xy: F64, triangles: I32) -> tuple[F64, F64]:
-    """Least and greatest coordinates (2,) m of the first corners of triangles (m, 3)."""
-    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
-    for t in range(len(triangles)):
-        x, y = xy[triangles[t, 0], 0], xy[triangles[t, 0], 1]
-        x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
-    return np.array([x0, y0]), np.array([x1, y1])
-
-
-@kernel
-def chosen_squares(xy: F64, triangles: I32, low: F64, side: float, every: int) -> Bool:
-    """Triangles (m,) whose first corner lies in one of ``every`` so many squares of a raster: a
-    knight's move from row to row, so that no row, column or diagonal goes without.
+def chosen_squares(corner: F64, low: F64, side: float, every: int) -> Bool:
+    """Triangles (m,) whose first corner (m, 2) m, by x, then y, lies in one of ``every`` so many
+    squares of a raster: a knight's move from row to row, so that no row, column or diagonal goes
+    without.
     """
-    out = np.empty(len(triangles), np.bool_)
-    for t in range(len(triangles)):
-        u = np.floor((xy[triangles[t, 0], 0] - low[0]) / side)
-        v = np.floor((xy[triangles[t, 0], 1] - low[1]) / side)
-        out[t] = (int(u) + 2 * int(v)) % every == 0
-    return out
+    u, v = (np.floor((corner[:, k] - low[k]) / side).astype(np.int64) for k in range(2))
+    return np.asarray((u + 2 * v) % every == 0)
+
+
+def squares_every(triangles: int) -> int:
+    """Of how many squares one is looked at, for so many triangles."""
+    return math.ceil(triangles / ENOUGH)
 
 
 def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, float]:
     """The areas (m,) m² of triangles within the outline, 0 for those that others stand for; and
     what part of the area is left. xy : (n, 2) m, the vertices along their own axes.
     """
-    every = math.ceil(np.count_nonzero(inside > 0) / ENOUGH)
+    every = squares_every(int(np.count_nonzero(inside > 0)))
     side = SQUARE * float(np.median(spacing))
     if every < 2 or not math.isfinite(side):
         return inside, 1.0
-    first = extent_at(xy, tin.triangles)
-    low, _ = raster_between(first, side)
-    kept = np.where(chosen_squares(xy, tin.triangles, low, side, every), inside, 0.0)
+    low, _ = raster_of(xy, side)
+    first = first_corners(np.ascontiguousarray(tin.vertices[:, :2]), tin.triangles)
+    kept = np.where(chosen_squares(xy[first], low, side, every), inside, 0.0)
     return kept, float(kept.sum() / inside.sum())
 
 
@@ -288,12 +294,26 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64
     corners = tin.triangles[own]
     sums = surface_differences(tin, corners, inside[own], coarse, kept)
     size = wide(coarse, sums.covered)
-    middle = xy[corners].mean(axis=1)
-    low, _ = raster_of(middle, BLOCK * size)
-    cell = np.floor((middle - low) / (BLOCK * size)).astype(np.int64)
-    number = np.unique(cell @ [1 << 32, 1], return_inverse=True)[1].reshape(-1)
-    blocks: F64 = np.bincount(number, sums.volume).astype(np.float64)
+    middle = middles_of(xy[corners])
+    _, blocks = volume_by_block(middle, sums.volume, extent_of(middle), size)
     return blocks, noise_of(surface, sums.gradient), size
+
+
+def middles_of(corners: F64) -> F64:
+    """Middles (m, 2) of triangles (m, 3, 2), whatever the order of their corners."""
+    return np.asarray(np.sort(corners, axis=1).mean(axis=1))
+
+
+def volume_by_block(
+    middle: F64, volume: F64, extent: tuple[F64, F64], size: float
+) -> tuple[I64, F64]:
+    """Names (k,) of blocks, for triangles as wide as ``size``, m, and the sums (k,) of volumes (m,)
+    of the triangles with middles (m, 2) in them; those of all lie between coordinates (2,).
+    """
+    low, _ = raster_between(extent, BLOCK * size)
+    cell = np.floor((middle - low) / (BLOCK * size)).astype(np.int64)
+    names, number = np.unique(cell @ np.array([1 << 32, 1]), return_inverse=True)
+    return names, np.bincount(number.reshape(-1), volume, len(names)).astype(np.float64)
 
 
 def noise_of(surface: CloudSurface, gradient: F64) -> float:

@@ -4,6 +4,9 @@ the coordinates changes when the same points are turned.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,26 +16,69 @@ F64 = npt.NDArray[np.float64]
 #: Share of the mean square distance from the centroid above which the second moment shows a long
 #: direction; below it the fourth moment shows that of the sides.
 LONG = 0.05
+#: The middle of places is rounded to their extent over so many times 2, angles to one over this.
+MIDDLE_BITS, ANGLE = 20, 2.0**40
+
+
+@dataclass(frozen=True)
+class OwnAxes:
+    """middle : (2,) m · angle : of the first axis. Both are rounded, so that they do not hang on
+    the order in which the places are summed, nor what lies on the edge of a cell.
+    """
+
+    middle: F64
+    angle: float
+
+    def along(self, xy: F64) -> F64:
+        """Places (n, 2) m about the middle along these axes."""
+        c, s = math.cos(self.angle), math.sin(self.angle)
+        x, y = xy[:, 0] - self.middle[0], xy[:, 1] - self.middle[1]
+        out = np.empty((len(xy), 2))
+        out[:, 0], out[:, 1] = c * x + s * y, c * y - s * x
+        return out
+
+
+def rounded_middle(mean: F64, extent: tuple[F64, F64]) -> F64:
+    """The mean (2,) m of places with least and greatest coordinates (2,), to a millionth of these
+    or less.
+    """
+    step = 2.0 ** (math.frexp(float((extent[1] - extent[0]).max()))[1] - MIDDLE_BITS)
+    out: F64 = np.rint(mean / step) * step
+    return out if np.isfinite(out).all() else mean
+
+
+def moments_about(xy: F64, middle: F64) -> F64:
+    """Sums (5,) over places (n, 2) m about a middle (2,), as complex numbers z: of z² and z⁴, real
+    and imaginary parts, and of the size of z².
+    """
+    z = np.empty(len(xy), np.complex128)
+    z.real, z.imag = xy[:, 0] - middle[0], xy[:, 1] - middle[1]
+    square = z * z
+    second, size = square.sum(), float(np.abs(square).sum())
+    square *= square
+    fourth = square.sum()
+    return np.array([second.real, second.imag, fourth.real, fourth.imag, size])
+
+
+def axes_of(middle: F64, moments: F64) -> OwnAxes:
+    """The axes of places from :func:`moments_about` their middle.
+
+    The direction is the argument of the mean of z² or, where they are about as long as wide, of
+    -z⁴, which for a square is that of its sides.
+    """
+    second, fourth = complex(*moments[:2]), complex(*moments[2:4])
+    angle = np.angle(second) / 2.0
+    if abs(second) <= LONG * moments[4]:
+        angle = np.angle(-fourth) / 4.0
+    return OwnAxes(middle, float(np.rint(angle * ANGLE) / ANGLE))
 
 
 def along_own_axes(xy: F64) -> F64:
-    """Places (n, 2) m about their centroid, turned so that their long direction is the first axis.
-
-    The direction is that of the moments of the places, as complex numbers z: the argument of the
-    mean of z² or, where they are about as long as wide, of -z⁴, which for a square is that of its
-    sides.
+    """Places (n, 2) m about their centroid, turned so that their long direction is the first
+    axis.
     """
-    middle, z = xy.mean(axis=0), np.empty(len(xy), np.complex128)
-    z.real, z.imag = xy[:, 0] - middle[0], xy[:, 1] - middle[1]
-    square = z * z
-    second, size = square.mean(), float(np.abs(square).mean())
-    angle = np.angle(second) / 2.0
-    if abs(second) <= LONG * size:
-        square *= square
-        angle = np.angle(-square.mean()) / 4.0
-    del square  # the places of a whole cloud take much memory
-    z *= np.exp(-1j * angle)
-    return z.view(np.float64).reshape(-1, 2)
+    middle = rounded_middle(xy.mean(axis=0), extent_of(xy))
+    return axes_of(middle, moments_about(xy, middle)).along(xy)
 
 
 @kernel

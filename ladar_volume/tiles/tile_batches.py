@@ -77,3 +77,12 @@ def ask(
     task = partial(sum_batch if adds else run_batch, op, of)
     found = results(workers, task, batches, lambda done: progress(len(done[1])))
     return [answer for _, some in sorted(found, key=lambda f: f[0]) for answer in some]
+
+
+def givers(tiles: Sequence[Tile], gives: Sequence[Sequence[Tile]]) -> list[list[Tile]]:
+    """For each tile those that give something to it, from what each gives to."""
+    out: dict[Tile, list[Tile]] = {}
+    for tile, some in zip(tiles, gives, strict=True):
+        for other in some:
+            out.setdefault(other, []).append(tile)
+    return [out.get(tile, []) for tile in tiles]

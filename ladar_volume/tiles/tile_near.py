@@ -16,8 +16,7 @@ from ladar_volume.ground.polynomial import degree_of, design, height_above
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_outline import read, write
-from ladar_volume.tiles.tile_patch import TilePatch, inside_of, patch_of
+from ladar_volume.tiles.tile_patch import TilePatch, inside_of, patch_of, read_shares, write_shares
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, places_in
@@ -151,31 +150,15 @@ def write_cut(
     """
     direct, given = cut
     own, xy = at.patch.own, at.patch.tin.vertices[:, :2]
-    mine = direct[own].copy()
-    place = places_in(own, len(xy))[part.vertex]
-    mine[place[place >= 0]] += given[place >= 0]
-    far = part.vertex[(place < 0) & (given != 0.0)]
-    values = np.column_stack([xy[far], given[(place < 0) & (given != 0.0)]])
-    write(folder, "cut", tile, mine)
-    write(folder, "beside", tile, values)
-    rows = np.concatenate([own, far])
+    rows = np.concatenate([own, part.vertex])
+    values = np.concatenate([direct[own], given])
     X = design(xy[rows], base.origin_xy, degree_of(base))
-    tiles = np.unique(np.floor(xy[far] / of.index.cloud.tile_m).astype(np.int64), axis=0)
-    names = tuple((int(i), int(j)) for i, j in tiles)
-    return -X.T @ np.concatenate([mine, values[:, 2]]), names
+    return -X.T @ values, write_shares(of, tile, folder, xy[own], (xy[rows], values))
 
 
 def add_cut(tile: Tile, folder: Path, xy: F64, cut: F64, near: bool, beside: list[Tile]) -> F64:
     """The derivatives (k,) of cut by the heights of the tile's own vertices (k, 2) m: where it is
     ``near`` those at rest instead of those given, with what the tiles ``beside`` give.
     """
-    out = read(folder, "cut", tile) if near else cut.copy()
-    name = np.ascontiguousarray(xy).view(np.complex128).reshape(-1)
-    order = np.argsort(name, kind="stable")
-    for other in beside:
-        values = read(folder, "beside", other)
-        wanted = np.ascontiguousarray(values[:, :2]).view(np.complex128).reshape(-1)
-        at = order[np.minimum(np.searchsorted(name[order], wanted), len(order) - 1)]
-        here = name[at] == wanted
-        np.add.at(out, at[here], values[here, 2])
-    return out
+    shares = read_shares(tile, folder, xy, near, beside)
+    return shares if near else cut + shares

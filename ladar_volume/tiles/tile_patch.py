@@ -4,21 +4,24 @@ triangles are known so many edges away from its own vertices.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_outline import Box, read
-from ladar_volume.tiles.tile_store import Tile, TileIndex
+from ladar_volume.tiles.tile_outline import Box, read, write
+from ladar_volume.tiles.tile_stars import TilePoints
+from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tin.full_tin import any_corner, places_in
 from ladar_volume.volume.neighbourhood import grow_kernel
 
+C128 = npt.NDArray[np.complex128]
 #: First width around the tile for each edge, in mean distances of its points.
 WIDTH = 2.0
 
@@ -113,7 +116,7 @@ def parts_beside(
         )
 
 
-def tiles_in(index: TileIndex, box: Box) -> list[Tile]:
+def tiles_in(index: TilePoints, box: Box) -> list[Tile]:
     """The tiles with points in a box, or nearly, by name."""
     x0, y0, x1, y1 = box
     i0, j0, i1, j1 = (int(v // index.cloud.tile_m) for v in box)
@@ -130,8 +133,7 @@ def joined(parts: list[SurfacePart], box: Box) -> tuple[TilePatch, Bool]:
     (n,) all triangles are known: those of other tiles within the box, and all of its own.
     """
     xyz = np.concatenate([p.vertices for p in parts])
-    names = np.ascontiguousarray(xyz[:, :2]).view(np.complex128).reshape(-1)
-    _, first, place = np.unique(names, return_index=True, return_inverse=True)
+    _, first, place = np.unique(names_of(xyz), return_index=True, return_inverse=True)
     place = place.reshape(-1).astype(np.int32)
     start = np.r_[0, np.cumsum([len(p.vertices) for p in parts])].tolist()
     corners = np.concatenate(
@@ -173,4 +175,46 @@ def pair_kernel(side: I64, order: I64) -> I32:
         if side[a] == side[b]:
             out[a // 3, a % 3] = b // 3
             out[b // 3, b % 3] = a // 3
+    return out
+
+
+def names_of(xy: F64) -> C128:
+    """Places (n, 2) m as one number each."""
+    return np.ascontiguousarray(xy[:, :2]).view(np.complex128).reshape(-1)
+
+
+def rows_at(xy: F64, wanted: F64) -> I64:
+    """The rows (m,) of distinct places xy (n, 2) at which places (m, 2) are, -1 for none."""
+    if not len(xy):
+        return np.full(len(wanted), -1)
+    names, asked = names_of(xy), names_of(wanted)
+    order = np.argsort(names, kind="stable")
+    at = order[np.minimum(np.searchsorted(names[order], asked), len(order) - 1)]
+    return np.where(names[at] == asked, at, -1)
+
+
+def write_shares(
+    of: TiledCloud, tile: Tile, folder: Path, own: F64, shares: tuple[F64, F64]
+) -> tuple[Tile, ...]:
+    """Write what a tile gives to heights at places (n, 2) m, values (n,): to the tile's own
+    vertices (k, 2), and to others. Returns the tiles of these.
+    """
+    xy, values = shares
+    at = rows_at(own, xy)
+    write(folder, "own", tile, np.bincount(at[at >= 0], values[at >= 0], len(own)))
+    far = (at < 0) & (values != 0.0)
+    write(folder, "beside", tile, np.column_stack([xy[far], values[far]]))
+    tiles = np.unique(np.floor(xy[far] / of.index.cloud.tile_m).astype(np.int64), axis=0)
+    return tuple((int(i), int(j)) for i, j in tiles)
+
+
+def read_shares(tile: Tile, folder: Path, xy: F64, wrote: bool, beside: Sequence[Tile]) -> F64:
+    """What is given to the heights of a tile's own vertices (k, 2) m, (k,): by itself, where it
+    ``wrote`` something, and by the tiles ``beside``.
+    """
+    out = read(folder, "own", tile) if wrote else np.zeros(len(xy))
+    for other in beside:
+        values = read(folder, "beside", other)
+        at = rows_at(xy, values[:, :2])
+        out += np.bincount(at[at >= 0], values[at >= 0, 2], len(xy))
     return out

@@ -10,20 +10,20 @@ share a circle are all added, and the diagonals among them follow from the point
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tiles.tile_store import Tile, TileIndex
-from ladar_volume.tin.full_tin import any_corner, build_tin
+from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tiles.tile_store import CloudParts, Tile
+from ladar_volume.tin.full_tin import any_corner, build_tin, first_corners
 from ladar_volume.tin.predicates import incircle, orientation, workspace
-from ladar_volume.tin.triangle_table import precedes
 
 #: First halo, in mean distances of the tile's points.
 HALO = 6.0
@@ -66,19 +66,6 @@ def places(points: F64) -> F64:
     count = np.diff(np.r_[first, len(r)])
     height = np.add.reduceat(r[:, 2], first) / count
     return np.column_stack([r[first, :2], np.where(count > 1, height, r[first, 2]), count])
-
-
-@kernel
-def first_corners(xy: F64, triangles: I32) -> I64:
-    """The first vertex of each triangle by x, then y, (m,)."""
-    out = np.empty(len(triangles), np.int64)
-    for t in range(len(triangles)):
-        first = triangles[t, 0]
-        for c in range(1, 3):
-            if precedes(xy, triangles[t, c], first):
-                first = triangles[t, c]
-        out[t] = first
-    return out
 
 
 @kernel
@@ -211,10 +198,20 @@ def reaches(sides: OpenSides, box: Box) -> bool:
     return any(meets(sides.corners[t], box) for t in flat.tolist())
 
 
+class TilePoints(Protocol):
+    """Points in tiles: the side of these, by tile the box of its points, and the points."""
+
+    @property
+    def cloud(self) -> CloudParts: ...
+    @property
+    def box(self) -> Mapping[Tile, Box]: ...
+    def points(self, tile: Tile) -> F64: ...
+
+
 class Neighbourhood:
     """Points of other tiles that were added to one: all within a halo, and some beyond."""
 
-    def __init__(self, index: TileIndex, tile: Tile, own: int) -> None:
+    def __init__(self, index: TilePoints, tile: Tile, own: int) -> None:
         self.index, self.tile, self.side = index, tile, index.cloud.tile_m
         self.halo = min(self.side, HALO * self.side / max(own, 1) ** 0.5)
         self.rows: dict[Tile, Bool] = {}
@@ -284,7 +281,7 @@ class Neighbourhood:
         return 0
 
 
-def tile_stars(index: TileIndex, tile: Tile) -> TileStars:
+def tile_stars(index: TilePoints, tile: Tile) -> TileStars:
     """The final triangles round the points of a tile. Raises :class:`SurfaceError` where the whole
     cloud has fewer than three points off one line.
     """

@@ -13,15 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
+from ladar_volume.clouds.between_points import BetweenPoints
 from ladar_volume.clouds.cloud_noise import cloud_noise
 from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, with_noise
 from ladar_volume.clouds.sampling.site_lengths import SiteSize, site_lengths
+from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_outline, tile_volume
-from ladar_volume.tiles.tile_batches import TiledCloud, ask, run_batch
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, givers, run_batch
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
 from ladar_volume.tiles.tile_outline import Box
@@ -36,6 +38,7 @@ from ladar_volume.tiles.tile_store import (
 from ladar_volume.tiles.tile_surface import Limits, surface_folder, surface_of
 from ladar_volume.tiles.tile_volume import Above, Beside, Squares, TileSums
 from ladar_volume.tiles.tile_work import Workers, results
+from ladar_volume.tiles.tiled_between import BetweenFinder
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
 from ladar_volume.tin.full_tin import footprint_areas
@@ -55,11 +58,13 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class TiledVolume:
-    """volume : of all tiles · base : the ground · index : the tiles · sums : of each, in the order
-    of their names · sigma_m : of the heights · parameters : with the lengths that fit the site
+    """volume : of all tiles · between : what lies between the points, None where that is not told ·
+    base : what is below · index : the tiles · sums : of each, in the order of their names · sigma_m
+    : of the heights · parameters : with the lengths that fit the site
     """
 
     volume: CloudVolume
+    between: BetweenPoints | None
     base: Plane
     index: TileIndex
     sums: list[TileSums]
@@ -133,7 +138,8 @@ def triangulated(
 class VolumeTask:
     """limits : which triangles count · parameters : of base, outline and ground · sigma_m : of the
     heights; None for that of the tiles, their root mean square by points · correct : whether cut
-    and fill are corrected near the base · named : lengths of base and outline that stay, the others
+    and fill are corrected near the base · between : whether what lies between the points is told,
+    where all triangles count · named : lengths of base and outline that stay, the others
     follow the site; None for all as given
     """
 
@@ -141,6 +147,7 @@ class VolumeTask:
     parameters: Parameters
     sigma_m: float | None
     correct: bool = True
+    between: bool = True
     named: Collection[str] | None = None
 
 
@@ -173,7 +180,11 @@ def volume_by_tiles(
     asked = Above(base, folder, sigma, near)
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
     volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
-    return TiledVolume(volume, base, of.index, sums, sigma, parameters)
+    between = None
+    if task.between and task.limits.relevant == "all" and math.isfinite(volume.sigma_m3):
+        between = BetweenFinder(fitter, folder).found()
+        volume = with_lines(volume, {"between_points": between.variance_m6})
+    return TiledVolume(volume, between, base, of.index, sums, sigma, parameters)
 
 
 def near_folder(of: TiledCloud, base: Plane, outline: Path | None, sigma_m: float) -> Path:
@@ -234,13 +245,10 @@ class VolumeAbove:
     def _squares(self, chosen: VertexSelection | None, by_sums: F64) -> F64:
         """Sums (3,) m⁴ of squared derivatives; each tile is told which give something to it."""
         tiles = self.fitter.of.tiles
-        beside: dict[Tile, list[Tile]] = {}
-        for tile, found in zip(tiles, self.sums, strict=True):
-            for other in () if found.near is None else found.near.beside:
-                beside.setdefault(other, []).append(tile)
+        beside = givers(tiles, [() if t.near is None else t.near.beside for t in self.sums])
         more = [
-            (self.asked, Beside(found.near is not None, beside.get(t, [])), chosen, by_sums)
-            for t, found in zip(tiles, self.sums, strict=True)
+            (self.asked, Beside(found.near is not None, some), chosen, by_sums)
+            for found, some in zip(self.sums, beside, strict=True)
         ]
         sums = ask(self.fitter.workers, self.fitter.of, tile_volume.squares, more, adds=True)
         return np.asarray(np.sum(sums, axis=0))

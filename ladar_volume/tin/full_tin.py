@@ -8,6 +8,7 @@ from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.delaunay import finite_points, triangulate
+from ladar_volume.tin.triangle_table import precedes
 
 
 def build_tin(points_map: F64) -> Tin:
@@ -103,3 +104,16 @@ def any_kernel(triangles: I32, chosen: Bool) -> Bool:
 def any_corner(triangles: I32, chosen: Bool) -> Bool:
     """Which of triangles (m, 3) have a vertex among the ``chosen`` (n,)."""
     return np.asarray(any_kernel(triangles, chosen))
+
+
+@kernel
+def first_corners(xy: F64, triangles: I32) -> I64:
+    """The first vertex of each triangle by x, then y, (m,)."""
+    out = np.empty(len(triangles), np.int64)
+    for t in range(len(triangles)):
+        first = triangles[t, 0]
+        for c in range(1, 3):
+            if precedes(xy, triangles[t, c], first):
+                first = triangles[t, c]
+        out[t] = first
+    return out

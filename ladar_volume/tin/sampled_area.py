@@ -31,6 +31,8 @@ from ladar_volume.tin.relevant import circumdiameters, side_length
 FEWEST = 100
 #: Cells grow by this factor; the raster is filled at a cell where it is two steps on as well.
 STEP, PERSISTS = math.sqrt(2.0), 2
+#: Places at which the least spacing is told, about.
+SAMPLED = 20_000
 #: Most cells of a raster, and the largest cell in shares of the extent.
 MOST_CELLS, LARGEST = 4_000_000, 0.25
 #: An open side is long above this many spacings; what lies behind it is deep above as many in the
@@ -106,29 +108,43 @@ def in_filled_cells(xy: F64, extent: tuple[F64, F64], size: float) -> Bool:
     return out
 
 
+def cell_sizes(some: F64, count: int, extent: tuple[F64, F64]) -> list[float]:
+    """Cells, m, at which the raster of so many places is looked at, the least first. some : (k, 2)
+    m, those at which the least spacing is told · extent : least and greatest coordinates (2,) m
+    """
+    wide = np.maximum(extent[1] - extent[0], 1e-300)
+    some = np.unique(some, axis=0)
+    near = np.asarray(cKDTree(some).query(some, 2)[0])[:, 1] if len(some) > 2 else wide
+    least = float(np.median(near)) * math.sqrt(len(some) / count)
+    cell = max(least, math.sqrt(float(wide.prod()) / MOST_CELLS), float(wide.max()) * 1e-4)
+    sizes = [cell]
+    while sizes[-1] * STEP <= LARGEST * float(wide.max()):
+        sizes.append(sizes[-1] * STEP)
+    return sizes
+
+
 def spacings(xy: F64) -> F64:
     """How far apart points (n, 2) m lie around each, across scan lines as along them, (n,) m:
     infinite where nothing around them is filled, and for fewer than :data:`FEWEST`. The raster lies
     along the points' own axes.
     """
-    out = np.full(len(xy), np.inf)
     if len(xy) < FEWEST:
-        return out
+        return np.full(len(xy), np.inf)
     xy = along_own_axes(xy)
-    low, high = extent_of(xy)
-    extent = np.maximum(high - low, 1e-300)
-    some = np.unique(xy[:: max(1, len(xy) // 20_000)], axis=0)
-    near = np.asarray(cKDTree(some).query(some, 2)[0])[:, 1] if len(some) > 2 else extent
-    least = float(np.median(near)) * math.sqrt(len(some) / len(xy))
-    cell = max(least, math.sqrt(float(extent.prod()) / MOST_CELLS), float(extent.max()) * 1e-4)
-    sizes = [cell]
-    while sizes[-1] * STEP <= LARGEST * float(extent.max()):
-        sizes.append(sizes[-1] * STEP)
+    extent = extent_of(xy)
+    sizes = cell_sizes(xy[:: max(1, len(xy) // SAMPLED)], len(xy), extent)
+    return lasting_sizes([in_filled_cells(xy, extent, size) for size in sizes], sizes)
+
+
+def lasting_sizes(filled: list[Bool], sizes: list[float]) -> F64:
+    """The least of the sizes at which the cells about each of n places are filled, (n,) of each
+    size, and still are two steps on; where none lasts, the least.
+    """
     # a long and narrow strip has no block of three cells at its width
-    filled = [in_filled_cells(xy, (low, high), size) for size in sizes]
+    out = np.full(len(filled[0]), np.inf)
     for k in reversed(range(len(sizes))):
         out[filled[k]] = sizes[k]
-    lasting = np.full(len(xy), np.inf)
+    lasting = np.full(len(out), np.inf)
     for k in reversed(range(len(sizes) - PERSISTS)):
         lasting[filled[k] & filled[k + PERSISTS]] = sizes[k]
     return np.where(np.isfinite(lasting), lasting, out)

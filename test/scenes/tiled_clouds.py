@@ -57,20 +57,20 @@ def write(path, xy, seed=1):
     return path
 
 
-def by_tiles(path, folder, tile_m, limits=None, workers=None, part=7000, correct=True, **volume):
+def by_tiles(path, folder, tile_m, limits=None, workers=None, part=7000, **volume):
     """The volume by tiles above a level or a plane."""
     cloud = parts_of_file(path, folder, tile_m, Reading(), part)
     chosen = VolumeParameters(**({"base": "level", "level_m": LEVEL} | volume), outline="all")
-    task = VolumeTask(limits or Limits(), Parameters(volume=chosen), SIGMA, correct)
+    task = VolumeTask(limits or Limits(), Parameters(volume=chosen), SIGMA, between=False)
     return volume_by_tiles(cloud, task, workers or OwnProcess())
 
 
-def at_once(path, option="all", limit=None, correct=True, **volume):
+def at_once(path, option="all", limit=None, **volume):
     limits = {} if limit is None else {f"max_{option}_m".replace("circle", "circum"): limit}
     options = SurfaceParameters(ratio=1.0, relevant=option, **limits)
     surface = cloud_surface(read_cloud(path).r, options, SIGMA)
     chosen = VolumeParameters(**({"base": "level", "level_m": LEVEL} | volume), outline="all")
-    return surface, above_base(surface, Parameters(volume=chosen), correct)[0]
+    return surface, above_base(surface, Parameters(volume=chosen))[0]
 
 
 def same(a, b):

@@ -49,7 +49,7 @@ def both(
         volume=VolumeParameters(base="ground", **volume), ground=GroundParameters(**(ground or {}))
     )
     cloud = parts_of_file(path, folder, tile_m, Reading(), part)
-    found = volume_by_tiles(cloud, VolumeTask(limits, p, SIGMA, correct), OwnProcess())
+    found = volume_by_tiles(cloud, VolumeTask(limits, p, SIGMA, correct, False), OwnProcess())
     if not whole:
         return found
     options = SurfaceParameters(ratio=1.0, **dataclasses.asdict(limits))
@@ -110,7 +110,7 @@ def test_the_verb_volume_by_tiles(tmp_path, capsys):
     assert tiled["lengths"] == pytest.approx(whole["lengths"], rel=1e-9)
     for name in ("cut_m3", "fill_m3", "net_m3", "area_m2"):
         assert tiled[name] == pytest.approx(whole[name], rel=1e-9)
-    for line in ("noise", "base_surface"):
+    for line in ("noise", "base_surface", "between_points"):
         assert tiled["budget_m6"][line] == pytest.approx(whole["budget_m6"][line], rel=1e-9)
     assert main([*words, "--tile", "25"]) == 2
     assert "give --clean off, --relevant all" in capsys.readouterr().err

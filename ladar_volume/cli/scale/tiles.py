@@ -17,6 +17,7 @@ from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.sampling.site_lengths import length_facts, named_lengths
+from ladar_volume.clouds.volume_verdict import coarse_doubts
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         cloud = parts_of_file(arguments.cloud, store, tile_m, reading_of(arguments))
     with workers_of(arguments, words) as workers, progress_on(words) as bars:
         named, correct = named_lengths(arguments.set), not arguments.no_correction
-        task = VolumeTask(limits_of(arguments), parameters, arguments.sigma, correct, named)
+        task = VolumeTask(limits_of(arguments), parameters, arguments.sigma, correct, named=named)
         found = volume_by_tiles(cloud, task, workers, shares(bars))
     facts = facts_of(found, arguments)
     if arguments.json:
@@ -100,7 +101,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     doubts = (*index.doubts, *doubts_of(found, ground))
     return {
         **volume_facts(found.volume, parameters),
-        "sigma_holds": "noise of the points" + ", and the ground" * ground + " only",
+        "sigma_holds": held_words(found),
         "footprint": None,
         "lengths": length_facts(parameters),
         "outline_parts": [],
@@ -126,18 +127,28 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def held_words(found: TiledVolume) -> str:
+    """What the standard deviation holds."""
+    between = " and what lies between them" * (found.between is not None)
+    ground = ", and the ground" * (found.parameters.volume.base == "ground")
+    return f"noise of the points{between}{ground} only"
+
+
 def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
     """What speaks against a volume by tiles."""
     volume, points = found.volume, sum(s.points for s in found.sums)
+    missing = ["strays", "objects", "gaps", "the edge of the outline"]
+    missing += ["other readings of the ground"] * ground
+    missing += ["what lies between the points"] * (found.between is None)
     words = (
-        f"strays, gaps{', other readings of the ground' * ground} and what lies between the "
-        f"{points:,} points are not judged by tiles, and not in sigma; clean the cloud before, "
-        "limit the triangles with --max-edge, and hold a part of it against ladar_volume volume"
+        f"{', '.join(missing)} of {points:,} points are not judged by tiles, and not in sigma; "
+        "clean the cloud before, limit the triangles with --max-edge, and hold a part of it "
+        "against ladar_volume volume"
     )
     out = [Doubt("tiles_not_judged", words, float(points))]
     if math.isnan(volume.sigma_m3):
         out.append(NO_SIGMA)
-    return out
+    return out if found.between is None else out + coarse_doubts(volume, found.between)
 
 
 def refuse_unknown_options(a: argparse.Namespace) -> None:

@@ -1,0 +1,187 @@
+"""How far apart the points of a tile lie, place by place, as all points tell it; and one of them
+for each cell that is wider than that.
+
+A raster over all points, along their own axes, is filled by all tiles. What is filled around a
+place follows from the place alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ladar_volume.clouds.between_points import CELL
+from ladar_volume.math.own_axes import OwnAxes, extent_of, moments_about, raster_between
+from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_outline import Box, box_of, read, write
+from ladar_volume.tiles.tile_store import CloudParts, Tile
+from ladar_volume.tiles.tile_surface import used_of
+from ladar_volume.tin.sampled_area import lasting_sizes
+
+
+@dataclass(frozen=True)
+class Rasters:
+    """axes : along which the rasters lie · low, high : (2,) least and greatest coordinates of all
+    points along them, m · sizes : of their cells, m · folder : where it is at rest which of their
+    cells are filled
+    """
+
+    axes: OwnAxes
+    low: F64
+    high: F64
+    sizes: tuple[float, ...]
+    folder: Path
+
+    def filled(self, k: int) -> Path:
+        """Where the filled cells of a size are."""
+        return self.folder / f"filled_{k}.npy"
+
+    def shape(self, k: int) -> tuple[int, int]:
+        """Cells of a raster, with two empty ones on all sides."""
+        count = raster_between((self.low, self.high), self.sizes[k])[1] + 4
+        return int(count[0]), int(count[1])
+
+    def cells(self, k: int, xy: F64) -> I64:
+        """The cell (n,) of places (n, 2), m, along the axes, row by row."""
+        low, _ = raster_between((self.low, self.high), self.sizes[k])
+        x, y = (np.floor((xy[:, c] - low[c]) / self.sizes[k]).astype(np.int64) for c in range(2))
+        return np.asarray((x + 2) * self.shape(k)[1] + y + 2)
+
+    def spacings(self, xy: F64) -> F64:
+        """How far apart points lie around places (n, 2), m, along the axes, (n,) m."""
+        found = []
+        for k in range(len(self.sizes)):
+            filled = np.load(self.filled(k), mmap_mode="r", allow_pickle=False)
+            found.append(np.asarray(filled[self.cells(k, xy)]))
+        return lasting_sizes(found, list(self.sizes))
+
+
+def extent(of: TiledCloud, tile: Tile, axes: OwnAxes | None) -> F64:
+    """Number of vertices, the sums of x and y, and their least and greatest, m (7,); along axes
+    where these are given.
+    """
+    xy = used_of(of.index, of.limits, tile)[0][:, :2]
+    xy = np.ascontiguousarray(xy) if axes is None else axes.along(xy)
+    low, high = extent_of(xy)
+    return np.array([len(xy), *xy.sum(axis=0), *low, *high])
+
+
+def moments(of: TiledCloud, tile: Tile, middle: F64) -> F64:
+    """:func:`moments_about` a middle."""
+    return moments_about(used_of(of.index, of.limits, tile)[0][:, :2], middle)
+
+
+def filled_cells(of: TiledCloud, tile: Tile, rasters: Rasters) -> list[I64]:
+    """The cells (k,) of each raster that the tile's vertices fill."""
+    xy = rasters.axes.along(used_of(of.index, of.limits, tile)[0][:, :2])
+    return [np.unique(rasters.cells(k, xy)) for k in range(len(rasters.sizes))]
+
+
+def tell_spacings(of: TiledCloud, tile: Tile, rasters: Rasters) -> F64:
+    """The spacings at the tile's vertices, at rest: each value, how many there are, and the least
+    and greatest coordinates of these, (k, 6).
+    """
+    xy = rasters.axes.along(used_of(of.index, of.limits, tile)[0][:, :2])
+    spacing = rasters.spacings(xy)
+    write(rasters.folder, "spacing", tile, spacing)
+    out = []
+    for value in np.unique(spacing).tolist():
+        some = xy[spacing == value]
+        out.append([value, len(some), *some.min(axis=0), *some.max(axis=0)])
+    return np.array(out).reshape(-1, 6)
+
+
+class Cells(NamedTuple):
+    """One vertex of each cell: names (k, 3) of the cells, how far from their middle it is, in
+    cells, and its row (k,).
+    """
+
+    name: I64
+    off: F64
+    row: I64
+
+
+def nearest_to_middles(
+    of: TiledCloud, tile: Tile, rasters: Rasters, extents: F64, shift: tuple[float, float]
+) -> tuple[Cells, I64, F64]:
+    """In each cell of 1.5 spacings, shifted by so many, the vertex nearest to its middle; their
+    numbers (k,) among the tile's vertices; and how far, m, each is from the tile's edge. extents :
+    (s, 6) as :func:`tell_spacings` gives them, of all tiles, the finite ones.
+    """
+    xyz, _, row = used_of(of.index, of.limits, tile)
+    spacing, xy = read(rasters.folder, "spacing", tile), rasters.axes.along(xyz[:, :2])
+    number = np.searchsorted(extents[:, 0], spacing)
+    some = np.flatnonzero(np.isfinite(spacing))
+    number = number[some]
+    size = CELL * extents[number, 0]
+    low = np.array([raster_between((e[2:4], e[4:6]), CELL * e[0])[0] for e in extents]).reshape(
+        -1, 2
+    )
+    place = (xy[some] - low[number]) / size[:, None] + np.array(shift)
+    cell = np.floor(place)
+    off = ((place - cell - 0.5) ** 2).sum(axis=1)
+    name = np.column_stack([number, cell.astype(np.int64)])
+    order = np.lexsort((row[some], off, name[:, 2], name[:, 1], name[:, 0]))
+    new = np.r_[True, (np.diff(name[order], axis=0) != 0).any(axis=1)][: len(order)]
+    best = order[new]
+    side, corner = of.index.cloud.tile_m, np.array(tile) * of.index.cloud.tile_m
+    inner = xyz[some[best], :2] - corner
+    edge = np.minimum(inner, side - inner).min(axis=1) - np.sqrt(2.0) * size[best]
+    return Cells(name[best], off[best], row[some[best]]), some[best], edge
+
+
+def border_cells(
+    of: TiledCloud, tile: Tile, rasters: Rasters, extents: F64, shift: tuple[float, float]
+) -> Cells:
+    """Of these, those whose cells may reach into other tiles."""
+    cells, _, edge = nearest_to_middles(of, tile, rasters, extents, shift)
+    some = edge <= 0.0
+    return Cells(cells.name[some], cells.off[some], cells.row[some])
+
+
+def keep(
+    of: TiledCloud,
+    tile: Tile,
+    rasters: Rasters,
+    extents: F64,
+    shift: tuple[float, float],
+    lost: I64,
+) -> tuple[int, Box | None]:
+    """The vertices (k, 3) kept of a tile, at rest: without the rows that ``lost`` to those of other
+    tiles. Returns how many, and their box.
+    """
+    cells, some, _ = nearest_to_middles(of, tile, rasters, extents, shift)
+    xyz = used_of(of.index, of.limits, tile)[0][some[~np.isin(cells.row, lost)]]
+    write(kept_folder(rasters, shift), "kept", tile, xyz)
+    return len(xyz), box_of(xyz[:, :2])
+
+
+def kept_folder(rasters: Rasters, shift: tuple[float, float]) -> Path:
+    """Where what belongs to one coarser surface is at rest."""
+    return rasters.folder / f"shift_{shift[0]:g}_{shift[1]:g}"
+
+
+@dataclass(frozen=True)
+class KeptPoints:
+    """The vertices that a coarser surface has, as points in tiles. box : by tile"""
+
+    cloud: CloudParts
+    box: dict[Tile, Box]
+    folder: Path
+
+    def points(self, tile: Tile) -> F64:
+        """Points (k, 3) m of a tile."""
+        return read(self.folder, "kept", tile) if tile in self.box else np.zeros((0, 3))
+
+
+def winners(cells: Cells) -> Bool:
+    """Which of vertices (k,) are the nearest to the middle of their cell, of equals the first."""
+    order = np.lexsort((cells.row, cells.off, cells.name[:, 2], cells.name[:, 1], cells.name[:, 0]))
+    new = np.r_[True, (np.diff(cells.name[order], axis=0) != 0).any(axis=1)][: len(order)]
+    out = np.zeros(len(order), np.bool_)
+    out[order[new]] = True
+    return out

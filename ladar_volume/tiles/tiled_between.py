@@ -1,0 +1,200 @@
+"""What lies between the points of all tiles: :mod:`ladar_volume.clouds.between_points` to what one
+process gives, for surfaces of which all triangles count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ladar_volume.clouds.between_points import (
+    SQUARE,
+    BetweenPoints,
+    from_coarser,
+    shifts_for,
+    squares_every,
+)
+from ladar_volume.io.atomic_write import atomic_file
+from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
+from ladar_volume.model.records import F64, I64
+from ladar_volume.tiles import tile_coarser, tile_spacing
+from ladar_volume.tiles.tile_batches import ask, givers
+from ladar_volume.tiles.tile_coarser import Blocks, Seen, Squares, Widths
+from ladar_volume.tiles.tile_fit import VertexSelection
+from ladar_volume.tiles.tile_spacing import Cells, KeptPoints, Rasters
+from ladar_volume.tiles.tile_store import digest
+from ladar_volume.tiles.tile_surface import surface_folder
+from ladar_volume.tiles.tiled_ground import GroundFitter
+from ladar_volume.tin.sampled_area import FEWEST, SAMPLED, beside_full_blocks, cell_sizes
+
+R = TypeVar("R")
+NOTHING = BetweenPoints(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class BetweenFinder:
+    """fitter : asks the tiles · outline : where the triangles inside are at rest, None for all"""
+
+    fitter: GroundFitter
+    outline: Path | None
+
+    def _ask(self, op: Callable[..., R], *more: object) -> list[R]:
+        of = self.fitter.of
+        return ask(self.fitter.workers, of, op, [more] * len(of.tiles))
+
+    def _each(self, op: Callable[..., R], more: Sequence[tuple[object, ...]]) -> list[R]:
+        return ask(self.fitter.workers, self.fitter.of, op, more)
+
+    def found(self) -> BetweenPoints:
+        """Steps and curvature between the points; 0 where these are too few to tell."""
+        rasters, count = self._rasters()
+        if rasters is None:
+            return NOTHING
+        told = merged(self._ask(tile_spacing.tell_spacings, rasters))
+        whole = Squares(rasters.axes, rasters.low, 1.0, 1)
+        facts, widths = self._seen(Seen(self.outline, whole))
+        if facts[0] < FEWEST:
+            return NOTHING
+        area, every = facts[1], squares_every(int(facts[0]))
+        seen = Seen(self.outline, whole)
+        side = SQUARE * median_of(told, count)
+        if every >= 2 and math.isfinite(side):
+            low, _ = raster_between((rasters.low, rasters.high), side)
+            seen = Seen(self.outline, Squares(rasters.axes, low, side, every))
+            facts, widths = self._seen(seen)
+        finest = self._half(widths, lambda one: self._ask(tile_coarser.widths_in, seen, one))
+        extents, found = told[np.isfinite(told[:, 0])], []
+        extent = np.array([facts[2:4], facts[4:6]])
+        for shift in shifts_for(int(facts[0])):
+            coarser = self._coarser(rasters, extents, shift, seen, extent)
+            if coarser is None:
+                return NOTHING
+            found.append(coarser)
+        return from_coarser(found, finest, float(facts[1] / area), 0.0)
+
+    def _rasters(self) -> tuple[Rasters | None, int]:
+        """The rasters of all vertices, filled, and how many these are; None for few."""
+        facts = np.stack(self._ask(tile_spacing.extent, None))
+        n = int(facts[:, 0].sum())
+        if n < FEWEST:
+            return None, n
+        low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
+        middle = rounded_middle(facts[:, 1:3].sum(axis=0) / n, (low, high))
+        axes = axes_of(middle, np.sum(self._ask(tile_spacing.moments, middle), axis=0))
+        facts = np.stack(self._ask(tile_spacing.extent, axes))
+        low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
+        every = VertexSelection((0.0, 0.0), (0.0,), math.inf)
+        some = self.fitter.at_ranks(every, n, max(1, n // SAMPLED))[:, 1:3]
+        sizes = tuple(cell_sizes(axes.along(some), n, (low, high)))
+        of = self.fitter.of
+        name = digest([axes.middle.tolist(), axes.angle, sizes, str(self.outline)])
+        folder = surface_folder(of.index, of.limits) / f"between_{name}"
+        rasters = Rasters(axes, low, high, sizes, folder)
+        self._fill(rasters)
+        return rasters, n
+
+    def _fill(self, rasters: Rasters) -> None:
+        """Write which cells are filled."""
+        cells = self._ask(tile_spacing.filled_cells, rasters)
+        rasters.folder.mkdir(parents=True, exist_ok=True)
+        for k in range(len(rasters.sizes)):
+            raster = np.zeros(rasters.shape(k), np.bool_)
+            for some in cells:
+                raster.reshape(-1)[some[k]] = True
+            with atomic_file(rasters.filled(k)) as part, part.open("wb") as file:
+                np.save(file, beside_full_blocks(raster).reshape(-1), allow_pickle=False)
+
+    def _seen(self, seen: Seen) -> tuple[F64, Widths]:
+        """Number, area and extent (6,) of the triangles looked at, and how wide they are."""
+        found = self._ask(tile_coarser.seen_widths, seen)
+        facts = np.stack([f for f, _ in found])
+        low, high = facts[:, 2:4].min(axis=0), facts[:, 4:].max(axis=0)
+        return np.array([*facts[:, :2].sum(axis=0), *low, *high]), together([w for _, w in found])
+
+    def _half(self, widths: Widths, fetch: Callable[[int], list[F64]]) -> float:
+        """The width, m, that half of the area is below: that of one of those in its bin."""
+        share = np.cumsum(widths.area)
+        at = min(int(np.searchsorted(share, share[-1] / 2)), len(share) - 1)
+        some = np.concatenate(fetch(int(widths.bins[at])))
+        some = some[np.argsort(some[:, 0], kind="stable")]
+        before = share[at - 1] if at else 0.0
+        k = int(np.searchsorted(before + np.cumsum(some[:, 1]), share[-1] / 2))
+        return float(some[min(k, len(some) - 1), 0])
+
+    def _coarser(
+        self,
+        rasters: Rasters,
+        extents: F64,
+        shift: tuple[float, float],
+        seen: Seen,
+        extent: F64,
+    ) -> tuple[F64, float, float] | None:
+        """:func:`~ladar_volume.clouds.between_points.coarser`; None where too few are kept."""
+        kept = self._kept(rasters, extents, shift)
+        if kept is None:
+            return None
+        self._ask(tile_coarser.coarser_stars, kept)
+        shares = self._ask(tile_coarser.compare, kept, seen)
+        wrote = [s.wrote for s in shares]
+        size = self._half(
+            together([s.widths for s in shares]),
+            lambda one: self._each(tile_coarser.covered_in, [(kept, w, one) for w in wrote]),
+        )
+        beside = givers(self.fitter.of.tiles, [s.beside for s in shares])
+        blocks = Blocks(extent, size)
+        more = [(kept, seen, blocks, w, b) for w, b in zip(wrote, beside, strict=True)]
+        found = self._each(tile_coarser.by_blocks, more)
+        names, at = np.unique(np.concatenate([f[0] for f in found]), return_inverse=True)
+        volumes = np.concatenate([f[1] for f in found])
+        blocks_m3: F64 = np.bincount(at.reshape(-1), volumes, len(names)).astype(np.float64)
+        return blocks_m3, self.fitter.sigma_m**2 * math.fsum(f[2] for f in found), size
+
+    def _kept(
+        self, rasters: Rasters, extents: F64, shift: tuple[float, float]
+    ) -> KeptPoints | None:
+        """The vertices of a coarser surface; None where they are too few."""
+        of = self.fitter.of
+        cells = self._ask(tile_spacing.border_cells, rasters, extents, shift)
+        every = Cells(*(np.concatenate([c[k] for c in cells]) for k in range(3)))
+        lost: I64 = every.row[~tile_spacing.winners(every)]
+        tile = np.repeat(np.arange(len(cells)), [len(c.row) for c in cells])
+        lost_of = tile[~tile_spacing.winners(every)]
+        more = [(rasters, extents, shift, lost[lost_of == k]) for k in range(len(cells))]
+        found = self._each(tile_spacing.keep, more)
+        if sum(n for n, _ in found) < FEWEST // 4:
+            return None
+        boxes = {t: box for t, (_, box) in zip(of.tiles, found, strict=True) if box is not None}
+        return KeptPoints(of.index.cloud, boxes, tile_spacing.kept_folder(rasters, shift))
+
+
+def together(widths: Sequence[Widths]) -> Widths:
+    """The widths of all tiles by bins."""
+    bins, at = np.unique(np.concatenate([w.bins for w in widths]), return_inverse=True)
+    area = np.concatenate([w.area for w in widths])
+    return Widths(bins, np.asarray(np.bincount(at.reshape(-1), area, len(bins)), np.float64))
+
+
+def merged(told: Sequence[F64]) -> F64:
+    """What all tiles tell of spacings, as :func:`tile_spacing.tell_spacings` does of one."""
+    rows = np.concatenate(told)
+    out = []
+    for value in np.unique(rows[:, 0]).tolist():
+        some = rows[rows[:, 0] == value]
+        low, high = some[:, 2:4].min(axis=0), some[:, 4:].max(axis=0)
+        out.append([value, some[:, 1].sum(), *low, *high])
+    return np.array(out)
+
+
+def median_of(told: F64, count: int) -> float:
+    """The median of so many spacings, m."""
+    below = np.cumsum(told[:, 1])
+    two = [
+        told[int(np.searchsorted(below, k, side="right")), 0]
+        for k in ((count - 1) // 2, count // 2)
+    ]
+    return float(np.mean(two))
