@@ -54,17 +54,19 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
 
 
 def planned_path(
-    arguments: argparse.Namespace, length_m: float, width_m: float
+    arguments: argparse.Namespace, length_m: float, width_m: float, longest_s: float
 ) -> Callable[[float], PlatformStates]:
-    """The path for a height."""
-    from ladar_volume.planning.planned_path import Lanes
+    """The path for a height, with its fixes, no more than ``longest_s`` apart."""
+    from ladar_volume.planning.planned_path import Lanes, with_fixes
 
+    fixes = arguments.fix_rate, longest_s
     length = length_m + 20.0 if arguments.length is None else arguments.length
     if arguments.eight is not None:
-        return lambda height: figure_eight(length / 2.0, height, arguments.eight)
+        eight_s = arguments.eight
+        return lambda height: with_fixes(figure_eight(length / 2.0, height, eight_s), *fixes)
     spacing = width_m / max(arguments.lanes, 1) if arguments.spacing is None else arguments.spacing
-    return lambda height: Lanes(
-        height,
+    lanes = Lanes(
+        0.0,
         arguments.lanes,
         spacing,
         length,
@@ -72,7 +74,8 @@ def planned_path(
         arguments.turn,
         arguments.cross,
         aside_m=arguments.aside,
-    ).states()
+    )
+    return lambda height: with_fixes(dataclasses.replace(lanes, height_m=height).states(), *fixes)
 
 
 def figure_eight(
@@ -106,7 +109,8 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     parameters = parameters_of(arguments)
     pile, scanner = pile_of(arguments), scanner_of(arguments)
-    path = planned_path(arguments, pile.length_m, pile.width_m)
+    longest_s = parameters.georeference.max_position_gap_s
+    path = planned_path(arguments, pile.length_m, pile.width_m, longest_s)
     plan = Plan(pile, path(arguments.height), scanner, parameters, arguments.seed)
     with console.status("sampling the planned flight") as status:
         facts = prediction_facts(plan, predict(plan), arguments.height)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -74,3 +74,17 @@ class Lanes:
         return PlatformStates(
             t_ns, np.concatenate(p), q, v_body, np.zeros((n, 3)), np.zeros((n, 6, 6)), segment
         )
+
+
+def with_fixes(states: PlatformStates, rate_hz: float, longest_s: float) -> PlatformStates:
+    """The states between fixes of that rate. Raises :class:`VolumeError` (plan_path) for a rate
+    that is none, or whose fixes lie further apart than ``longest_s``, which nothing bridges.
+    """
+    if not (0.0 < rate_hz < math.inf and rate_hz * longest_s >= 1.0):
+        raise VolumeError(
+            f"fixes need a rate of {1.0 / longest_s:.3g} Hz or more, not {rate_hz:g}: intervals "
+            f"longer than georeference.max_position_gap_s, {longest_s:g} s, are not bridged",
+            reason="plan_path",
+            value=rate_hz,
+        )
+    return replace(states, fix_gap_s=np.full(len(states), 1.0 / rate_hz))

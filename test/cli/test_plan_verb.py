@@ -19,6 +19,21 @@ def run(capsys, *words):
     return code, json.loads(capsys.readouterr().out) if code == 0 else None
 
 
+def test_more_fixes_make_the_position_better_and_too_few_are_refused(capsys):
+    pile = ("--pile", "22", "18", "4", "--set", "budget.position_white_fraction=0.5")
+    rare, usual, many = (
+        run(capsys, *pile, *given)[1]["budget_m6"]["position"]
+        for given in (("--fix-rate", "2"), (), ("--fix-rate", "50"))
+    )
+    # white errors are all there is within a tenth, and a mean of n has an n-th of their variance
+    white = [v - many for v in (rare, usual)]
+    assert white[0] / white[1] == pytest.approx((1 / 2 - 1 / 50) / (1 / 10 - 1 / 50), rel=0.02)
+    assert run(capsys, *pile, "--fix-rate", "1")[0] == 2
+    assert cli.main(["plan", *pile, "--fix-rate", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "1.67 Hz or more" in error and "max_position_gap_s" in error
+
+
 def test_the_bundled_survey_is_predicted(capsys, tmp_path):
     # the true scene and path of the recording: what a planner knows
     height = 9.0 * math.tan(math.radians(35.0)) * 0.75

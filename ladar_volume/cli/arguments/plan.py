@@ -119,6 +119,13 @@ def _add_sensors(parser: argparse.ArgumentParser) -> None:
     )
     sensors.add_argument("--rate", type=float, metavar="HZ", help="pulses per second")
     sensors.add_argument(
+        "--fix-rate",
+        type=float,
+        default=10.0,
+        metavar="HZ",
+        help="fixes of the position per second (default 10)",
+    )
+    sensors.add_argument(
         "--config", type=Path, help="parameter file: budget, calibration, filter, volume"
     )
     sensors.add_argument(
