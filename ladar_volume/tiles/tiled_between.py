@@ -161,9 +161,9 @@ class BetweenFinder:
         of = self.fitter.of
         cells = self._ask(tile_spacing.border_cells, rasters, extents, shift)
         every = Cells(*(np.concatenate([c[k] for c in cells]) for k in range(3)))
-        lost: I64 = every.row[~tile_spacing.winners(every)]
-        tile = np.repeat(np.arange(len(cells)), [len(c.row) for c in cells])
-        lost_of = tile[~tile_spacing.winners(every)]
+        loses = ~tile_spacing.winners(every)
+        lost: I64 = every.row[loses]
+        lost_of = np.repeat(np.arange(len(cells)), [len(c.row) for c in cells])[loses]
         more = [(rasters, extents, shift, lost[lost_of == k]) for k in range(len(cells))]
         found = self._each(tile_spacing.keep, more)
         if sum(n for n, _ in found) < FEWEST // 4:

@@ -22,7 +22,7 @@ def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "diff",
-        help=(SUMMARIES["diff"]),
+        help=SUMMARIES["diff"],
         description="What was taken away from A (before) to B (after), as Kern does it: both scans "
         "are triangulated about their scanners "
         "and cut by one common ring; the tetrahedra of both and a pole are summed. "
