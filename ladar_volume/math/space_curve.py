@@ -16,6 +16,8 @@ from ladar_volume.math.kernels import kernel, leaf_kernel
 BITS = 21
 #: Bits that one pass of a sort looks at.
 DIGIT = 11
+#: Points of a cell from which on it is divided.
+FULL = 16
 
 
 @kernel
@@ -71,13 +73,30 @@ def morton_kernel(r: F64, low: F64, scale: float) -> U64:
 
 
 def curve_order(r: F64) -> I32:
-    """Permutation (n,) of points r (n, 3) m along a Morton curve through their bounding cube;
-    points in one cell keep their order.
+    """Permutation (n,) of points r (n, 3) m along a Morton curve through their bounding cube, a
+    full cell along a curve of its own. Only points equal in every coordinate keep their order.
     """
     if len(r) == 0:
         return np.zeros(0, np.int32)
     low, high = (np.array([extreme(c) for c in r.T]) for extreme in (np.min, np.max))
     # a subnormal extent would make the scale infinite
     size = max(float((high - low).max()), 1e-280)
-    order: I32 = radix_order(morton_kernel(r, low, 2.0**BITS / size), 3 * BITS)
+    key = morton_kernel(r, low, 2.0**BITS / size)
+    order: I32 = radix_order(key.copy(), 3 * BITS)
+    _order_in_cells(r, key[order], order)
     return order
+
+
+def _order_in_cells(r: F64, key: U64, order: I32) -> None:
+    """Put those of points (n, 3) that share a cell in an order of their own; key, order : (n,)
+    sorted by cell.
+    """
+    start = np.flatnonzero(np.r_[True, key[1:] != key[:-1]])
+    count = np.diff(start, append=len(key))
+    full = (count > FULL) & (count < len(r))  # one cell for all would be divided without end
+    for first, n in zip(start[full], count[full], strict=True):
+        rows = order[first : first + n]
+        order[first : first + n] = rows[curve_order(r[rows])]
+    at = np.flatnonzero(np.repeat((count > 1) & ~full, count))
+    rows = order[at]
+    order[at] = rows[np.lexsort((*r[rows].T[::-1], key[at]))]

@@ -58,9 +58,31 @@ def test_the_curve_interleaves_the_bits_of_cells() -> None:
     for points in (EVEN, CLOUDS["uneven"], CLOUDS["at one place"]):
         low = points.min(axis=0)
         scale = 2.0**BITS / max(np.ptp(points, axis=0).max(), 1e-280)
-        plain = sorted(range(len(points)), key=lambda i: key(points[i]))
-        assert np.array_equal(curve_order(points), plain)
+        keys = [key(point) for point in points]
+        order = curve_order(points)
+        assert np.array_equal(np.sort(order), np.arange(len(points)))
+        assert [keys[i] for i in order] == sorted(keys)
     assert len(curve_order(np.zeros((0, 3)))) == 0
+
+
+def test_the_curve_does_not_hang_on_the_order_of_the_points() -> None:
+    rng = np.random.default_rng(3)
+    tiny = rng.normal(size=(300, 3)) * 1e-4
+    clouds = [
+        # all but one in one cell
+        np.vstack([tiny, tiny + np.array([1.0, 0.0, 0.0]), [[1e9, 0.0, 0.0]]]),
+        np.repeat(rng.normal(size=(50, 3)), 30, axis=0),
+        np.vstack([rng.normal(size=(40, 3)), np.array([1.0, 2.0, 3.0]) + 1e-9 * tiny[:5]]),
+        1e-300 * rng.normal(size=(100, 3)),
+    ]
+    for points in clouds:
+        order = curve_order(points)
+        assert np.array_equal(np.sort(order), np.arange(len(points)))
+        mixed = points[rng.permutation(len(points))]
+        assert np.array_equal(mixed[curve_order(mixed)], points[order])
+    near = clouds[0][curve_order(clouds[0])]
+    steps = np.linalg.norm(np.diff(near[:600], axis=0), axis=1)
+    assert np.median(steps) < 1e-4  # what is along the curve is near, too
 
 
 def test_the_second_neighbour_is_that_of_brute_force() -> None:
