@@ -5,6 +5,7 @@ point is kept or named.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, classify_o
 from ladar_volume.clouds.filter.surface_noise import project_with_own_noise
 from ladar_volume.clouds.published.published_filter import filter_published, settings
 from ladar_volume.clouds.sampling.distinct_points import distinct_rows, restore_copies
+from ladar_volume.clouds.sampling.isolation import far_from_cloud
 from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.model.cloud_filter_parameters import FilterParameters, PublishedFilterParameters
 from ladar_volume.model.records import F64, I64
@@ -48,8 +50,7 @@ def filter_cloud(
         result = _filter_published(before.r, parameters, auto)
     else:
         once = distinct_rows(before.r)
-        steps = rounding_steps(before.r[np.sort(once.index)])
-        result = restore_copies(_filter(once.r, steps, parameters, auto, keep), once)
+        result = restore_copies(_filter_near(once.r, parameters, auto, keep), once)
     if parameters.grid_before_m > 0.0:
         result = expand_result(
             result, before, parameters.grid_before_m if how_before == "round" else 0.0
@@ -80,13 +81,27 @@ def _filter_published(
     return filter_published(points, own)
 
 
-def _filter(
-    points: F64, steps: F64, parameters: FilterParameters, auto: bool, keep: frozenset[str]
+def _filter_near(
+    points: F64, parameters: FilterParameters, auto: bool, keep: frozenset[str]
 ) -> CloudResult:
-    """The distinct points that are left after the first reduction, their coordinates rounded to
-    ``steps`` (3,) m.
+    """The distinct points that are left after the first reduction; those far away from the cloud
+    are outliers before anything is asked of it.
     """
-    origin = _centre(points)
+    far = far_from_cloud(points)
+    if not far.any():
+        return _filter(points, parameters, auto, keep)
+    near, reason = np.flatnonzero(~far), np.where(far, cell_surface.OUTLIER, cell_surface.KEPT)
+    done = _filter(points[near], parameters, auto, keep)
+    reason[near[done.outliers]] = done.reason
+    outliers = np.flatnonzero(reason != cell_surface.KEPT)
+    return replace(done, index=near[done.index], outliers=outliers, reason=reason[outliers])
+
+
+def _filter(
+    points: F64, parameters: FilterParameters, auto: bool, keep: frozenset[str]
+) -> CloudResult:
+    """Distinct points (n, 3), none of them far away."""
+    origin, steps = _centre(points), rounding_steps(points)
     local = points - origin
     tuned = tune(local, parameters, auto, steps)
     factor = 1.0

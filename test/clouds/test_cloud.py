@@ -2,6 +2,8 @@
 and the synthetic sets.
 """
 
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
@@ -9,9 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import shapes
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
+from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.model.errors import FilterError
 from ladar_volume.model.parameters import FilterParameters
 
+DATA = Path(__file__).parents[1] / "data"
 TURN = Rotation.random(random_state=5)
 SHIFT = np.array([412.3, -777.1, 35.2])
 NAMES = ("plane", "sphere", "dihedral 60", "dihedral 120", "cube")
@@ -74,6 +78,29 @@ def test_order_and_threads_change_no_bit():
         two.r[back].tobytes() == one.r.tobytes()
         and two.sigma[back].tobytes() == one.sigma.tobytes()
     )
+
+
+def test_the_order_of_a_real_sweep_changes_no_bit():
+    """Its coordinates are 32 bits wide, by axis another step, and tell lines and rounding."""
+    r = np.asarray(read_cloud(DATA / "automotive.ply").r)
+    order = np.random.default_rng(1).permutation(len(r))
+    one, two = (filter_cloud(p, FilterParameters(), auto=True) for p in (r, r[order]))
+    back = np.argsort(order[two.index])
+    assert np.array_equal(order[two.index][back], one.index)
+    for name in ("r", "normal", "sigma", "noise", "flag"):
+        assert getattr(two, name)[back].tobytes() == getattr(one, name).tobytes(), name
+
+
+@pytest.mark.parametrize("far", [[0.0, 0.0, 0.0], [4.5e5, 5.4e6, -9999.0], [4.5e5, 1e30, 0.0]])
+def test_a_point_far_away_is_an_outlier_and_changes_nothing_else(far):
+    r = shapes.cube(4).points + np.array([4.5e5, 5.4e6, 300.0])
+    one = filter_cloud(r, FilterParameters(), auto=True)
+    two = filter_cloud(np.vstack([r[:5], far, r[5:]]), FilterParameters(), auto=True)
+    reason = dict(zip(two.outliers.tolist(), two.reason.tolist(), strict=True))
+    assert REASONS[reason[5]] == "outlier"
+    assert two.report["outlier"] == one.report["outlier"] + 1
+    assert np.array_equal(two.index - (two.index > 5), one.index)
+    assert two.r.tobytes() == one.r.tobytes() and two.sigma.tobytes() == one.sigma.tobytes()
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])

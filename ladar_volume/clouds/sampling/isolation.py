@@ -19,6 +19,24 @@ from ladar_volume.model.records import F64, Bool
 #: Neighbours whose distance is the spacing; points next to one that tell what is usual; how many
 #: times that one hands on, at most; rounds of growth.
 NEXT, USUAL, HANDS, ROUNDS = 2, 5, 1.2, 12
+#: What is farther from a cloud than so many times its width is not of it; the width leaves out this
+#: share of the points, and one at least, at either end of each axis.
+FAR, END = 100.0, 0.001
+
+
+def far_from_cloud(r: F64) -> Bool:
+    """Which (n,) of points (n, 3) lie so far from the others that no grid holds both: 0, 0, 0 among
+    map coordinates, a height of -9999 that stands for none.
+    """
+    n = len(r)
+    left_out = max(1, int(END * n))
+    if n < 4 * left_out:
+        return np.zeros(n, np.bool_)
+    ends = np.partition(r, (left_out, n - 1 - left_out), axis=0)
+    low, high = ends[left_out], ends[n - 1 - left_out]
+    room = FAR * float((high - low).max())
+    far: Bool = ((r < low - room) | (r > high + room)).any(axis=1)
+    return far if room > 0.0 else np.zeros(n, np.bool_)
 
 
 def second_neighbour_distance(r: F64) -> F64:

@@ -9,6 +9,7 @@ told from points spread evenly over their steps, which adds the same variance on
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.noise_estimate import hashes
@@ -34,27 +35,34 @@ ALONE, WIDER = 10.0, 4.0
 
 def rounding_steps(r: F64) -> F64:
     """Step (3,) m of each coordinate of points (n, 3); 0 where there is none that matters."""
-    steps = [_step(r[:, axis]) for axis in range(3)]
+    some = _chosen(r)
+    steps = [_step(some[:, axis]) for axis in range(3)]
     coarsest = max((step for step in steps if step is not None), default=0.0)
     # what says nothing, such as one height for all, was rounded as the others
     found = np.array([coarsest if step is None else step for step in steps])
     alone = found > ALONE * found.min()
     if alone.any():
-        found[alone & (found > WIDER * _nearest(r))] = 0.0
+        found[alone & (found > WIDER * _nearest(r, some))] = 0.0
     return found
 
 
-def _nearest(r: F64) -> float:
-    """Median distance, m, of points (n, 3) to the nearest other point."""
-    local = r - r[0]
-    some = local[:: max(len(r) // LOOKED_AT, 1)]
-    distance = cKDTree(local, balanced_tree=False).query(some, k=2)[0]
+def _chosen(r: F64) -> F64:
+    """As many of the points (n, 3) as tell the step: by their hashes, the same in any order."""
+    if len(r) <= LOOKED_AT:
+        return r
+    return r[np.argpartition(_point_hashes(r, 0), LOOKED_AT)[:LOOKED_AT]]
+
+
+def _nearest(r: F64, some: F64) -> float:
+    """Median distance, m, of some of the points (n, 3) to the nearest other point."""
+    low = r.min(axis=0)
+    distance = cKDTree(r - low, balanced_tree=False).query(some - low, k=2)[0]
     return float(np.median(np.reshape(distance, (-1, 2))[:, 1]))
 
 
 def _step(x: F64) -> float | None:
     """The largest step that divides the differences of x (n,); None for too few values."""
-    some = np.unique(x[:: max(len(x) // LOOKED_AT, 1)])
+    some = np.unique(x)
     width = float(some[-1] - some[0])
     if len(some) < DIFFERENT:
         return None
@@ -83,16 +91,21 @@ def _multiples(x: F64, step: float, precision: float) -> bool:
     return bool(np.mean(off <= max(NEAR, min(2.0 * precision / step, 0.25))) >= SHARE)
 
 
+def _point_hashes(r: F64, seed: int) -> npt.NDArray[np.uint64]:
+    """A number (n,) for each point (n, 3) that hangs on its coordinates alone."""
+    mixed = np.full(len(r), seed, np.uint64)
+    for axis in range(3):
+        mixed = hashes(mixed ^ (r[:, axis] + 0.0).view(np.uint64))
+    return mixed
+
+
 def dither(r: F64, steps: F64, seed: int) -> F64:
     """Points (n, 3) moved by up to half a step, evenly and by a hash of the point: the same in any
     order.
     """
     if not steps.any():
         return r
-    mixed = np.full(len(r), seed, np.uint64)
-    for axis in range(3):
-        mixed = hashes(mixed ^ (r[:, axis] + 0.0).view(np.uint64))
-    out = r.copy()
+    mixed, out = _point_hashes(r, seed), r.copy()
     for axis in range(3):
         mixed = hashes(mixed + np.uint64(axis + 1))
         out[:, axis] += steps[axis] * ((mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53 - 0.5)
