@@ -127,3 +127,9 @@ def test_a_patch_has_its_fewest_points(scene):
     points = scene.mapped(np.column_stack([xy, 0.001 * xy[:, 0]]))
     few, some = (scene.filtered(points, min_points=n)[1] for n in (59, 5))
     assert len(some.points) > 0 and len(few.points) == 0
+    u = np.linspace(0.1, 0.4, 4)  # twelve in one voxel, about a plane, all of them inliers
+    xy = np.array([(x, y) for x in u for y in u[:3]])
+    z = 0.2 + 0.05 * xy[:, 0] + 0.002 * np.random.default_rng(2).normal(size=12)
+    points = scene.mapped(np.column_stack([xy, z]))
+    enough, one_short = (scene.filtered(points, min_points=n)[1] for n in (12, 13))
+    assert len(enough.patches) == 1 and len(one_short.patches) == 0

@@ -7,6 +7,7 @@ import pytest
 
 from ladar_volume.math import normal_equations
 from ladar_volume.math.normal_equations import invert, select_kth
+from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import MappedPoints
 from ladar_volume.rmls import cross_covariance, patch_twin, projection
@@ -259,6 +260,35 @@ def test_points_lie_on_their_patch_with_its_variance(fitted):
         cosine = q.normal[i] @ p.normal[j[i]]
         C = p.cross[p.cross_start[j[i]]]
         assert q.variance[i] == pytest.approx(X[0] @ C @ X[0] * cosine**2, rel=1e-8)
+
+
+def test_points_have_the_normal_and_the_tangential_noise_of_their_patch(fitted):
+    f, update, slots, _, degree = fitted
+    p, q, edge = update.patches, update.points, 0.25  # half a radius
+    own = {int(key): v for v, key in enumerate(f.store.keys[: f.store.used])}
+    tilted = 0
+    for i in range(len(q)):
+        j = int(np.searchsorted(p.key, q.patch[i]))
+        n, t, key = p.normal[j], p.tangent[j], int(p.key[j])
+        s = np.cross(n, t)
+        X, _ = patch_twin.design(q.r_map[i : i + 1], p.centre[j], n, t, degree)
+        _, wu, wv = patch_twin.arc(X, p.beta[j])
+        normal = n - wu[0] * t - wv[0] * s
+        assert np.allclose(q.normal[i], normal / np.linalg.norm(normal), atol=1e-8)
+        inside = slots[key][slots[key] // f.store.cap == own[key]]
+        uv = patch_twin.design(f.store.r[inside], p.centre[j], n, t, 1)[0][:, 1:]
+        cell = np.floor(uv / edge).astype(int)
+        means = [
+            (uv[same].mean(axis=0), inside[same])
+            for same in ((cell == c).all(axis=1) for c in np.unique(cell, axis=0))
+        ]
+        mean, members = min(means, key=lambda m: np.abs(m[0] - q.local[i]).max())
+        assert np.allclose(mean, q.local[i], atol=1e-12)
+        total, P = unpack(f.store.C[members]).sum(axis=0), np.eye(3) - np.outer(n, n)
+        wanted = (P @ total @ P)[np.triu_indices(3)] / len(members) ** 2
+        assert np.allclose(q.C_tangent[i], wanted, rtol=1e-5, atol=1e-6 * np.abs(wanted).max())
+        tilted += P[0, 2] ** 2 * total[2, 2] > 1e-3 * total[0, 0]
+    assert tilted > len(q) / 2  # else the heights' noise would not show
 
 
 def test_small_algebra_against_numpy():
