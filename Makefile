@@ -1,6 +1,8 @@
 # make help lists what there is; each target sets .venv up first.
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
+# one process more than cores: tests of nodes wait for most of their time
+TESTERS := $(shell expr $$(nproc) + 1)
 
 .PHONY: help run test lint bench fuzz mutants wheels noble docs colcon clean
 
@@ -12,7 +14,7 @@ run: .venv/ready  ## play the bundled surveys through the real nodes, print volu
 	.venv/bin/ladar_volume up --play bags/box --rate 4 -o out/box
 
 test: .venv/ready  ## run the whole test suite
-	$(PY) -m pytest -q -n auto
+	$(PY) -m pytest -q -n $(TESTERS)
 
 lint: .venv/ready  ## ruff, its formatter and mypy
 	$(PY) -m ruff check .

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
 STAGES = ("georeference", "filter", "volume", "epochs")
+CLOUDS = "clouds"
 #: Asks for a dot on stdout for each kernel, in place of lines on stderr.
 TICKS = "--ticks"
 START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
@@ -51,8 +52,8 @@ SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
 @cache
 def warm_up(stage: str) -> None:
-    """Run one of :data:`STAGES` on the made-up survey; the second call for it in a process does
-    nothing.
+    """Run one of :data:`STAGES` on the made-up survey, or :data:`CLOUDS`; the second call for it in
+    a process does nothing.
     """
     parameters = Parameters.read({"filter": {"radius_m": 0.15}, "volume": {"object_height_m": 0.1}})
     if stage == "georeference":
@@ -61,6 +62,8 @@ def warm_up(stage: str) -> None:
         _filter(parameters)
     elif stage == "volume":
         _volume(parameters)
+    elif stage == CLOUDS:
+        _filter_clouds()
     else:
         _epochs(parameters)
 
@@ -210,6 +213,24 @@ def _epochs(parameters: Parameters) -> None:
     epochs.epoch_difference(kept[1], kept[0])
 
 
+def _filter_clouds() -> None:
+    """A box on the ground, seen evenly, and along the rings of a scanner."""
+    filtered = importlib.import_module("ladar_volume.clouds.filter_cloud").filter_cloud
+    parameters = importlib.import_module("ladar_volume.model.cloud_filter_parameters")
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-2.0, 2.0, (6000, 2))
+    ring, turn = (
+        np.deg2rad(np.repeat(np.arange(-30.0, -5.0, 2.0), 400)),
+        np.linspace(0.0, 6.28, 400),
+    )
+    reach = 2.0 / np.tan(-ring)
+    lines = reach[:, None] * np.c_[np.cos(np.tile(turn, 13)), np.sin(np.tile(turn, 13))]
+    for places in (xy, lines):
+        top = np.where(np.abs(places).max(axis=1) < 1.0, 0.6, 0.0)
+        r = np.column_stack([places, top + rng.normal(0.0, 0.005, len(places))])
+        filtered(r, parameters.FilterParameters(), auto=True)
+
+
 def _estimate(estimator: VolumeEstimator) -> None:
     # a volume is not what this is for: whatever the stage says of this little survey, its kernels
     # are ready
@@ -219,7 +240,7 @@ def _estimate(estimator: VolumeEstimator) -> None:
 
 
 def main(words: Sequence[str]) -> int:
-    """Compile the named stages, or all. Returns the exit code."""
+    """Compile the named stages, or those of all nodes. Returns the exit code."""
     COMPILE_PROGRESS.ticks = TICKS in words
     COMPILE_PROGRESS.to_stderr = not COMPILE_PROGRESS.ticks
     for stage in [w for w in words if w != TICKS] or STAGES:

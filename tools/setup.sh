@@ -73,10 +73,12 @@ find ladar_volume -name '*.nb[ic]' -delete
 .venv/bin/python -W ignore setup.py -q install_data --install-dir=.venv
 rm -rf build ladar_volume.egg-info
 # once, so that the first survey does not wait for it
-echo "Compiling the kernels (about a minute)"
+echo "Compiling the kernels (one to two minutes)"
 compiling=()
-for stage in georeference filter volume epochs; do
-    .venv/bin/python -m ladar_volume.compile_kernels "$stage" &
+# stages that share kernels one after the other
+for stages in "volume epochs georeference" filter clouds; do
+    # shellcheck disable=SC2086
+    .venv/bin/python -m ladar_volume.compile_kernels $stages &
     compiling+=($!)
 done
 for process in "${compiling[@]}"; do wait "$process"; done

@@ -30,6 +30,8 @@ from ladar_volume.process.numba_threads import choose_openmp
 
 choose_openmp(numba)
 
+#: An entry for C takes a twentieth of the time of a compilation, and nothing calls it.
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 #: Numba's own option, absent from its type stubs.
 NO_COUNTS: dict[str, Any] = {"_nrt": False}
 
@@ -41,7 +43,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile ``function`` for one thread; IEEE semantics, no fast-math."""
-    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    compiled: Any = numba.njit(**OPTIONS)(function)
     keep(compiled)
     result: F = compiled
     return result
@@ -52,7 +54,7 @@ def leaf_kernel(function: F) -> F:
     (numba refuses those that do): rows ``x[i]`` handed to others are not counted as references,
     which costs more than what is done with them.
     """
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", **NO_COUNTS)(function)
+    compiled: Any = numba.njit(**OPTIONS, **NO_COUNTS)(function)
     keep(compiled)
     result: F = compiled
     return result
@@ -60,7 +62,7 @@ def leaf_kernel(function: F) -> F:
 
 def parallel_kernel(function: F) -> F:
     """Compile ``function`` with ``numba.prange`` loops shared over the cores."""
-    compiled: Any = numba.njit(nogil=True, parallel=True, error_model="numpy")(function)
+    compiled: Any = numba.njit(**OPTIONS, parallel=True)(function)
     keep(compiled)
     result: F = compiled
     return result
