@@ -318,6 +318,7 @@ class Replay:
         doubts = self.height_doubts() + missing_messages(counted) + self.step_doubts(estimate)
         stage = self.engine.georeferencer
         doubts += mounting_doubts(stage.mounting_check.found(), stage.mount.R_body_laser)
+        doubts += stage.rate_check.doubts()
         result["verdict"] = results.with_doubts(result["verdict"], doubts)
         if self.convergence:
             result["convergence"] = [

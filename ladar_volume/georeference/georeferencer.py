@@ -30,6 +30,7 @@ from ladar_volume.georeference.mapping import (
     vehicle_box,
 )
 from ladar_volume.georeference.mounting_check import MountingCheck
+from ladar_volume.georeference.rate_check import RateCheck
 from ladar_volume.georeference.sample_admission import (
     JUMP_S,
     TimeOrder,
@@ -141,6 +142,7 @@ class Georeferencer:
         self._states: list[PlatformStates] = []
         self.fix_steps = FixSteps()
         self.mounting_check = MountingCheck(self.mount)
+        self.rate_check = RateCheck()
         self.cloud_lead, self.fix_lead, self.sweeps = Lead(), Lead(), SweepTimes()
 
     @property
@@ -209,6 +211,7 @@ class Georeferencer:
     def _take_imu(self, sample: tuple[ImuSample, F64, F64]) -> None:
         for good, q_good, C_good in self._in_order(self._imus, sample[0].t_ns, sample):
             self.trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good)
+            self.rate_check.add(good.t_ns, q_good, good.omega_body)
             self._refer(good.t_ns)
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -229,6 +232,7 @@ class Georeferencer:
             self.trajectory.add_attitude(
                 good.t_ns, q_good, good.omega_body, C_good[3:, 3:], C_good[:3, 3:]
             )
+            self.rate_check.add(good.t_ns, q_good, good.omega_body)
             self._refer(good.t_ns)
 
     def _refer(self, t_ns: int) -> None:

@@ -77,8 +77,8 @@ def imu_from_message(message: Any) -> ImuSample:
 
 
 def odometry_from_message(message: Any) -> OdometrySample:
-    """A nav_msgs/Odometry. Raises AttitudeError: odometry_nan, odometry_not_unit,
-    odometry_covariance.
+    """A nav_msgs/Odometry; a twist of zeros alone is unknown. Raises AttitudeError: odometry_nan,
+    odometry_not_unit, odometry_covariance.
     """
     q = _quaternion(message.pose.pose.orientation, "odometry")
     p, v, omega = (
@@ -88,6 +88,8 @@ def odometry_from_message(message: Any) -> OdometrySample:
     )
     if not np.all(np.isfinite(np.concatenate([p, v, omega]))):
         raise AttitudeError("odometry is not finite", reason="odometry_nan", value=p)
+    if not v.any() and not omega.any():  # a twist that the driver does not fill, or a stand
+        omega = np.full(3, np.nan)
     C = _covariance(message.pose.covariance, 6)
     if C is not None and (not np.all(np.isfinite(C)) or np.any(np.diag(C) < 0)):
         raise AttitudeError(

@@ -61,7 +61,7 @@ from ladar_volume.process.switch import is_own_process
 UPSTREAM_S = 2.0
 #: How long a node that ends waits for listeners to have what it sent, s.
 ACKED_S = 10.0
-#: How often a node looks who publishes the datum, s.
+#: How often a node looks who publishes, and who ends, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
 

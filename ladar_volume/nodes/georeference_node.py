@@ -301,7 +301,7 @@ class GeoreferenceNode(StageNode):
     def errors(self) -> list[str]:
         """What contradicts the configuration or another sensor."""
         turned = mounting_doubts(self.stage.mounting_check.found(), self.stage.mount.R_body_laser)
-        words = [doubt.text for doubt in turned.doubts]
+        words = [doubt.text for doubt in (turned + self.stage.rate_check.doubts()).doubts]
         return [*self._checks.errors(), *self._frames.errors(), *words]
 
 

@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock
 from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
@@ -41,7 +42,7 @@ from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import Estimate, FilterUpdate, Volume
 from ladar_volume.model.verdict import Verdict
-from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.base import STEADY, WATCH_S, StageNode
 from ladar_volume.nodes.convert import (
     datum_of,
     platform_state,
@@ -127,6 +128,11 @@ class VolumeNode(StageNode):
 
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         self.subscribe("/diagnostics", DiagnosticArray, REPORTS, take, quiet)
+        self.create_timer(WATCH_S, self._watch_others, self._group, Clock(clock_type=STEADY))
+
+    def _watch_others(self) -> None:
+        others_end = self.ending or self.count_publishers("filter_node/ending") > 0
+        self._others.watch(time.monotonic(), others_end)
 
     def _make_bodies(self) -> None:
         """What ``volume.kind: bodies`` needs beside the surface."""

@@ -56,3 +56,36 @@ def test_a_georeference_node_that_was_started_again_is_named():
 def test_nodes_that_say_nothing_are_no_finding():
     assert reported().untaken_text() == ""
     assert reported(georeference_node={"sent_points": 5}).untaken_text() == ""
+
+
+def ended(age="0.05", finished=1):
+    return {"finished": finished, "age_cloud_s": age, "sent_points": 5}
+
+
+def test_a_georeference_node_that_ends_alone_while_clouds_come_is_named():
+    nodes = reported(georeference_node=ended())
+    for now in (10.0, 14.9):
+        nodes.watch(now, others_end=False)
+        assert nodes.untaken_text() == "" and nodes.verdict().sound
+    nodes.watch(41.0, others_end=False)
+    assert "ended 31 s before the others" in nodes.untaken_text()
+    (doubt,) = nodes.verdict().doubts
+    assert doubt.name == "georeference_ended" and doubt.value == 31.0
+    nodes.watch(90.0, others_end=True)  # their own end takes as long as it takes
+    assert "ended 31 s before" in nodes.untaken_text()
+
+
+@pytest.mark.parametrize(
+    ("lines", "others_end"),
+    [
+        (ended(age="8.20"), False),
+        (ended(finished=0), False),
+        (ended(), True),
+        (ended(age=""), False),
+    ],
+)
+def test_an_end_after_the_data_or_with_the_others_is_in_order(lines, others_end):
+    nodes = reported(georeference_node=lines)
+    for now in (10.0, 60.0):
+        nodes.watch(now, others_end)
+    assert "before the others" not in nodes.untaken_text() and nodes.verdict().sound

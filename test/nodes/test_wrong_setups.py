@@ -54,15 +54,29 @@ def imu(t, down=False):
     return m
 
 
+def imu_in_g(t):
+    m = imu(t)
+    m.linear_acceleration.z = 1.0
+    return m
+
+
+def turning(t):
+    # an attitude that turns by 20 degrees a second, its rate in degrees
+    m, half = imu(t), np.deg2rad(10.0) * (t % (60 * S)) / S
+    m.orientation.z, m.orientation.w = np.sin(half), np.cos(half)
+    m.angular_velocity.z = 20.0
+    return m
+
+
 right = {"cloud": cloud, "fix": fix, "imu": imu}
 setups = {
     "right": {},
-    "beams": {"cloud": lambda t: cloud(t, rings=64)},
-    "gnss": {"fix": None},
+    "beams": {"cloud": lambda t: cloud(t, rings=64), "imu": turning},
+    "gnss": {"fix": None, "imu": imu_in_g},
     "axes": {"imu": lambda t: imu(t, down=True)},
     "late": {"imu": lambda t: imu(t - 2 * S)},
     "frame": {"cloud": lambda t: cloud(t, frame="map")},
-    "driver": {"cloud": lambda t: cloud(t, timed=False, ringed=False)},
+    "driver": {"cloud": lambda t: cloud(t, frame="", timed=False, ringed=False)},
     "time": {"cloud": lambda t: cloud(0)},
     "leap": {"cloud": lambda t: cloud(t + 37 * S)},
     "other": {"cloud": lambda t: cloud(t, frame="rover1/odom")},
@@ -161,6 +175,12 @@ NAMED = {
     "silent": (2, "no heartbeat on udpin:127.0.0.1:0 for "),
     "refused": (2, "tcp:127.0.0.1:9 cannot be opened"),
 }
+#: What else is wrong in these set-ups.
+ALSO = {
+    "driver": (1, "without a frame"),
+    "gnss": (1, "g in place of m/s²"),
+    "beams": (2, "in degrees per second"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -168,9 +188,9 @@ def seen(tmp_path_factory):
     return result_of(SCRIPT, tmp_path_factory.mktemp("log"))
 
 
-@pytest.mark.parametrize("setup", sorted(NAMED))
-def test_what_is_wrong_is_named(seen, setup):
-    level, words = NAMED[setup]
+@pytest.mark.parametrize(("setup", "wrong"), [*sorted(NAMED.items()), *sorted(ALSO.items())])
+def test_what_is_wrong_is_named(seen, setup, wrong):
+    level, words = wrong
     node = "mavlink_node" if setup in ("silent", "refused") else "georeference_node"
     texts = seen["said"][f"{setup}/{node}"]["texts"]
     assert any(found >= level and words in text for found, text in texts), texts[-1]

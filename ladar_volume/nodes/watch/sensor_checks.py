@@ -19,6 +19,8 @@ from ladar_volume.nodes.watch.clock_words import APART_S, known_step
 #: Accelerations (m/s²) that are mostly gravity; over how many attitudes the direction is a mean;
 #: how far it may be from up, deg.
 GRAVITY, ATTITUDES, FEWEST, UP_DEG = (8.0, 11.6), 200, 20, 30.0
+#: Accelerations that are of gravity in g, m/s² taken for it.
+IN_G = (0.8, 1.2)
 #: Share of the returns beyond the configured rings above which the configuration is wrong: below it
 #: single returns are damaged.
 WRONG_SHARE = 0.01
@@ -73,6 +75,8 @@ class SensorChecks:
         self._without_ring = 0
         self._returns = self._beyond = 0
         self._up: deque[tuple[float, float, float]] = deque(maxlen=ATTITUDES)
+        #: Sizes of the newest accelerations, in the unit of the driver.
+        self._sizes: deque[float] = deque(maxlen=ATTITUDES)
         #: Why packets are refused as those of another scanner than configured; empty where not.
         self.other_scanner = ""
 
@@ -89,7 +93,10 @@ class SensorChecks:
         """An attitude with its acceleration: at rest the latter points up in the map."""
         a, q = message.linear_acceleration, message.orientation
         size = math.sqrt(a.x * a.x + a.y * a.y + a.z * a.z)
-        if message.linear_acceleration_covariance[0] != -1.0 and GRAVITY[0] < size < GRAVITY[1]:
+        if message.linear_acceleration_covariance[0] == -1.0:
+            return
+        self._sizes.append(size)
+        if GRAVITY[0] < size < GRAVITY[1]:
             self._up.append(_rotate(q, a))
 
     def returns(self, returns: Returns, fields: set[str]) -> None:
@@ -115,7 +122,12 @@ class SensorChecks:
             )
         for kind, before in self._changes.items():
             out.append(f"the frame of {kind} changed from '{before}' to '{self._frames[kind]}'")
-        return out
+        if not self._frames.get("cloud", "frame").strip("/ "):
+            out.append(
+                "the cloud comes without a frame (frame_id is empty): that it is the scanner's own "
+                "cannot be told; name it in the driver"
+            )
+        return out + self._unit()
 
     def errors(self) -> list[str]:
         """What contradicts the configuration or another sensor; of rings, since the last call."""
@@ -174,6 +186,17 @@ class SensorChecks:
 
     def _at(self, kind: str) -> float:
         return self._stamps[kind]
+
+    def _unit(self) -> list[str]:
+        if len(self._sizes) < FEWEST:
+            return []
+        size = float(np.median(self._sizes))
+        if not IN_G[0] < size < IN_G[1]:
+            return []
+        return [
+            f"the accelerations are {size:.2f} in the median: the IMU's driver gives g in place of "
+            "m/s² (REP-103), and its axes cannot be checked"
+        ]
 
     def _axes(self) -> list[str]:
         if len(self._up) < FEWEST:

@@ -10,6 +10,9 @@ from ladar_volume.model.verdict import Doubt, Verdict
 
 #: How many points georeference_node has sent since it was configured.
 SENT = "sent_points"
+#: georeference_node may end so long before the next node is asked to, s; and its newest cloud was
+#: this old at most, s, where clouds were still coming.
+ALONE_S, COMING_S = 5.0, 1.0
 
 
 def own_name(status_name: str, namespace: str) -> str | None:
@@ -25,6 +28,8 @@ class UpstreamNodes:
         self._namespace, self._names = namespace, tuple(names)
         self._last: dict[str, DiagnosticStatus] = {}
         self._restarts = self._sent = 0
+        self._ended_s: float | None = None
+        self._alone_s = 0.0
 
     def take(self, message: DiagnosticArray) -> None:
         """A message of /diagnostics."""
@@ -36,6 +41,16 @@ class UpstreamNodes:
         if sent.isdecimal():
             self._restarts += int(sent) < self._sent
             self._sent = int(sent)
+
+    def watch(self, now_s: float, others_end: bool) -> None:
+        """Every now and then, by a steady clock: how long georeference_node has ended while the
+        nodes after it go on. others_end : whether these, too, have been asked to end.
+        """
+        if self.lines("georeference_node").get("finished") != "1":  # or it was started again
+            self._ended_s, self._alone_s = None, 0.0
+        elif not others_end:
+            self._ended_s = now_s if self._ended_s is None else self._ended_s
+            self._alone_s = now_s - self._ended_s
 
     def lines(self, name: str) -> dict[str, str]:
         """Keys and values of a node's last status; empty before its first one."""
@@ -66,12 +81,26 @@ class UpstreamNodes:
         if self._restarts:
             words = f"{self._restarted_text()}: replay the log"
             found.append(Doubt("georeference_restarted", words, float(self._restarts)))
+        if ended := self._ended_text():
+            found.append(Doubt("georeference_ended", f"{ended}: replay the log", self._alone_s))
         return Verdict(tuple(found))
 
     def _restarted_text(self) -> str:
         return (
             "georeference_node was started again in the survey: what came while it was down is in "
             "no volume"
+        )
+
+    def _ended_text(self) -> str:
+        """That georeference_node has ended alone while clouds were coming; empty where not."""
+        age = self.lines("georeference_node").get("age_cloud_s", "")
+        if self._alone_s <= ALONE_S or not age.replace(".", "", 1).isdecimal():
+            return ""
+        if float(age) > COMING_S:
+            return ""
+        return (
+            f"georeference_node ended {self._alone_s:.0f} s before the others, and clouds were "
+            "still coming: what came since is in no volume"
         )
 
     def untaken_text(self) -> str:
@@ -84,6 +113,7 @@ class UpstreamNodes:
             if (count := sum(n for why, n in lost.items() if why.startswith("message_queue_full")))
         ]
         words += [self._restarted_text()] if self._restarts else []
+        words += list(filter(None, [self._ended_text()]))
         sent = self.lines("georeference_node").get(SENT, "")
         taken = self.lines("filter_node").get("count_points", "")
         if sent.isdecimal() and taken.isdecimal() and int(taken) < int(sent):
