@@ -18,6 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thin_by_cells
+from ladar_volume.clouds.sampling.isolation import far_from_cloud
 from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
 from ladar_volume.math.nearest import (
@@ -260,7 +261,21 @@ def ask_planes(cloud: Cloud, kept: I32, chosen: I64, out: Bool, far: F64) -> Non
 
 
 def clean(points: F64) -> CleaningResult:
-    """The points (n, 3), m, that are no strays. Fewer than :data:`FEWEST` are left as they are."""
+    """The points (n, 3), m, that are no strays; those far from all others are, whatever their
+    height. Fewer than :data:`FEWEST` are left as they are otherwise.
+    """
+    far = far_from_cloud(points)
+    if not far.any():
+        return _clean_near(points)
+    near, away = np.flatnonzero(~far), np.flatnonzero(far)
+    done = _clean_near(points[near])
+    strays = np.sort(np.concatenate([near[done.strays], away]))
+    alone = done.isolated_count + len(away)
+    return CleaningResult(near[done.kept], strays, alone, done.noise)
+
+
+def _clean_near(points: F64) -> CleaningResult:
+    """Points (n, 3), m, none of them far from all others."""
     everything = np.arange(len(points), dtype=np.int64)
     try:
         noise = cloud_noise(points) if len(points) >= FEWEST else None

@@ -54,3 +54,16 @@ def test_strays_beside_planes_are_those_of_plain_numpy() -> None:
     assert 60 < np.count_nonzero(wanted) < 300
     np.testing.assert_array_equal(found, wanted)
     np.testing.assert_allclose(far, away[:, -1], rtol=1e-12)
+
+
+def test_a_point_far_from_all_others_is_a_stray_at_any_height() -> None:
+    """In the plane of the ground, too, where no plane tells it apart."""
+    rng = np.random.default_rng(4)
+    r = np.c_[rng.uniform(-2.0, 2.0, (600, 2)), rng.normal(0.0, 0.004, 600)]
+    alone = c.clean(r)
+    for far in ([0.8, 4.3e9, 0.002], [-5e6, 0.0, 0.0], [0.5, 0.5, -9999.0]):
+        found = c.clean(np.vstack([r[:300], far, r[300:]]))
+        assert 300 in found.strays
+        assert found.isolated_count == alone.isolated_count + 1
+        rest = found.kept[found.kept != 300]
+        np.testing.assert_array_equal(np.where(rest > 300, rest - 1, rest), alone.kept)

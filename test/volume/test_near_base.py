@@ -479,3 +479,15 @@ def test_neighbourhoods_are_those_of_sparse_matrices(truth):
     assert summed.variance == pytest.approx(np.where(grown, (S * S) @ sums, variance), rel=1e-7)
     line = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, 0], 0 * h, h])
     assert np.isfinite(Smooth(line, h, variance, wanted, 4).heights).all()
+
+
+@pytest.mark.parametrize("scale", [2.0**-12, 2.0**12])
+def test_folded_means_know_no_unit(scale):
+    rng = np.random.default_rng(13)
+    m = 3000
+    A = rng.normal(size=(m, 3, 3)) * rng.uniform(0.3, 1.0, (m, 1, 1))
+    C = np.array([[a[i, j] for i, j in PACKED] for a in A @ A.transpose(0, 2, 1)])
+    mu = rng.normal(0.0, 1.0, (m, 1)) + rng.normal(size=(m, 3)) * 10.0 ** rng.uniform(-2, 1, (m, 1))
+    one, two = folded_means(mu, C), folded_means(scale * mu, scale**2 * C)
+    powers = np.r_[1.0, np.zeros(3), -np.ones(6)]
+    np.testing.assert_allclose(two / scale**powers, one, rtol=1e-12, atol=1e-12)
