@@ -179,6 +179,27 @@ def draw_sigma(ax: Axes, scene: Scene) -> None:
     finish_map(ax, scene, "Sigma of heights, and where to measure again")
 
 
+def draw_residuals(ax: Axes, scene: Scene) -> None:
+    """How far the passes lie apart, patch by patch."""
+    if scene.residuals is None:
+        return
+    found = scene.residuals
+    mm = 1e3 * found.apart_m
+    half = 0.55 * found.edge_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    squares = PolyCollection(
+        list(found.xy_m[:, None] + half),
+        array=mm,
+        cmap="magma_r",
+        clim=(0.0, max(float(np.percentile(mm, SPAN[1])), 1e-3)),
+        linewidths=0.0,
+        rasterized=True,
+    )
+    ax.add_collection(squares)
+    ax.figure.colorbar(squares, ax=ax, label="passes lie apart by / mm", shrink=0.8, extend="max")
+    middle = float(np.sqrt(np.mean(found.apart_m**2)))
+    finish_map(ax, scene, f"Residuals of the passes, {1e3 * middle:.1f} mm RMS")
+
+
 def draw_path(ax: Axes, scene: Scene) -> None:
     """The path of the scanner by the status of its fixes, over the outline."""
     if scene.path is None:
@@ -250,6 +271,8 @@ def plates(scene: Scene, budget_m6: Mapping[str, float]) -> dict[str, str]:
     }
     if scene.sigma_m is not None:
         maps["sigma"] = draw_sigma
+    if scene.residuals is not None:
+        maps["residuals"] = draw_residuals
     if scene.path is not None:
         maps["path"] = draw_path
     out = {name: svg(name, partial(draw, scene=scene), 5.6, 4.9) for name, draw in maps.items()}

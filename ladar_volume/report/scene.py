@@ -12,6 +12,7 @@ from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.records import F64, I64, Bool, Estimate, Plane, Tin
 from ladar_volume.tin.locate import height_at
 from ladar_volume.uncertainty.epoch_budget import Epoch
+from ladar_volume.uncertainty.pass_differences import between_bins
 
 #: Places along a section.
 PLACES = 400
@@ -28,14 +29,25 @@ class Path:
 
 
 @dataclass(frozen=True)
+class Residuals:
+    """xy_m : (k, 2) places seen at several times, map · apart_m : (k,) root mean square of what the
+    returns of each time are off the surface through all of them · edge_m : of a place
+    """
+
+    xy_m: F64
+    apart_m: F64
+    edge_m: float
+
+
+@dataclass(frozen=True)
 class Scene:
     """tin : the surface · counted : (t,) triangles that count · above_m : (n,) heights of the
     vertices above the base · sigma_m : (n,) their standard deviations, or None · outlines : each
     (k, 2), m, closed or not · base_at : height of the base at xy (k, 2), NaN outside · base : in
     words · where : the coordinate system in words · again : places of another pass, as
     ``MoreData.best`` gives them · gaps, objects : x, y, size of places that were not seen, and of
-    what stands there and is not counted, m · path : of the scanner, or None · convergence : share
-    of the recording, V and its standard deviation, m³
+    what stands there and is not counted, m · path : of the scanner, or None · residuals : of its
+    passes, or None · convergence : share of the recording, V and its standard deviation, m³
     """
 
     tin: Tin
@@ -50,6 +62,7 @@ class Scene:
     gaps: Sequence[tuple[float, float, float]] = ()
     objects: Sequence[tuple[float, float, float]] = ()
     path: Path | None = None
+    residuals: Residuals | None = None
     convergence: Sequence[tuple[float, float, float]] = ()
 
     def corners(self) -> F64:
@@ -127,6 +140,7 @@ def scene_of_survey(
         gaps=[(gap.x_m, gap.y_m, gap.size_m) for gap in estimate.volume.gaps],
         objects=[(one.x_m, one.y_m, one.size_m) for one in estimate.volume.objects],
         path=path_of(epoch, fixes),
+        residuals=residuals_of(epoch),
         convergence=[
             (each["share"], each["volume_m3"], each["sigma_m3"])
             for each in result.get("convergence", ())
@@ -161,3 +175,14 @@ def path_of(epoch: Epoch, fixes: Sequence[tuple[int, int]]) -> Path | None:
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(t[before] - middle) <= np.abs(t[after] - middle), before, after)
     return Path(xyz, status[nearest])
+
+
+def residuals_of(epoch: Epoch) -> Residuals | None:
+    """How far the passes lie apart, patch by patch; None where no patch was seen twice."""
+    patches = epoch.sources.patches
+    rows = np.flatnonzero(np.diff(patches.nav_start) > 1).astype(np.int64)
+    square = between_bins(patches, rows) if len(rows) else None
+    if square is None:
+        return None
+    edge = epoch.sources.parameters.filter.radius_m
+    return Residuals(patches.centre[rows, :2], np.sqrt(square), edge)

@@ -305,9 +305,9 @@ def beam_residuals(patches: PatchTable, rows: I64, b: BudgetParameters) -> Resid
     return Residuals(d, count, patch, A, own, patches.sigma[rows] ** 2)
 
 
-def scatter_within_bins(patches: PatchTable, rows: I64) -> F64 | None:
-    """Mean squares (k,) m² of the returns of patches ``rows`` (k,) about the mean of their bins,
-    whatever differs between bins; None where it is not known.
+def between_bins(patches: PatchTable, rows: I64) -> F64 | None:
+    """Mean squares (k,) m² of the mean residuals of the time bins of patches ``rows`` (k,): how far
+    passes lie apart there; None where that is not known.
     """
     count = np.diff(patches.nav_start)[rows]
     first = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
@@ -316,9 +316,16 @@ def scatter_within_bins(patches: PatchTable, rows: I64) -> F64 | None:
         return None
     unit = navigation_units(patches)[np.repeat(rows, count), -2, 0].astype(np.float64)
     square = patches.nav_residual[entry].astype(np.float64) ** 2
-    between = np.add.reduceat(patches.M_nav[entry, -2, 0] * unit * square, first[:-1])
-    out: F64 = np.maximum(patches.sigma[rows] ** 2 - between, 0.0)
+    out: F64 = np.add.reduceat(patches.M_nav[entry, -2, 0] * unit * square, first[:-1])
     return out
+
+
+def scatter_within_bins(patches: PatchTable, rows: I64) -> F64 | None:
+    """Mean squares (k,) m² of the returns of patches ``rows`` (k,) about the mean of their bins,
+    whatever differs between bins; None where it is not known.
+    """
+    between = between_bins(patches, rows)
+    return None if between is None else np.maximum(patches.sigma[rows] ** 2 - between, 0.0)
 
 
 def pass_differences(

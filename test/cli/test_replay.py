@@ -199,6 +199,7 @@ def test_the_report_shows_how_the_volume_came_about(tmp_path, capsys):
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert 'id="figure-convergence"' in page and "after 100 % of the recording" in page
     assert "boresight_roll_deg" in page
+    assert 'id="figure-residuals"' in page
 
 
 @pytest.mark.parametrize("words", [("--start", "1e308"), ("--start", "nan"), ("--duration", "-1")])

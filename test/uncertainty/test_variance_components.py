@@ -15,6 +15,7 @@ from ladar_volume.uncertainty.pass_differences import (
     Residuals,
     UnitErrors,
     asked_patches,
+    between_bins,
     bin_covariances,
     bin_residuals,
     pass_differences,
@@ -166,6 +167,13 @@ def test_scatter_within_bins_leaves_out_what_differs_between_them():
     assert np.median(made.sigma) > 1.5 * np.median(quiet.sigma)
 
 
+def test_passes_lie_apart_by_what_their_bins_are_off():
+    made = drawn_rise("position", 5.0, 3)
+    by_bin = made.nav_residual.astype(np.float64).reshape(200, BINS)
+    rows = np.array([7, 3, 150])
+    assert between_bins(made, rows) == pytest.approx((by_bin[rows] ** 2).mean(axis=1), rel=1e-5)
+
+
 def test_true_budgets_stand():
     freed = [c.freed for seed in range(12) for c in components(drawn_rise("", 1.0, seed)).values()]
     assert len(freed) == 12 * 6 and not any(freed)
@@ -203,6 +211,7 @@ def test_old_patches_tell_nothing():
     )
     assert pass_differences(none, flight()[0], BUDGET, 0.1) == []
     assert scatter_within_bins(none, np.arange(5)) is None
+    assert between_bins(none, np.arange(5)) is None
 
 
 def test_scores_are_derivatives_of_the_likelihood():
