@@ -42,7 +42,7 @@ def page():
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    """The report of a cone of 100 m³ on its ground."""
+    """The report of a cone of 99.5 m³ on its ground."""
     folder = tmp_path_factory.mktemp("report")
     rng = np.random.default_rng(4)
     xy = rng.uniform(-10.0, 10.0, (8000, 2))
