@@ -19,7 +19,7 @@ from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, with_noise
 from ladar_volume.clouds.sampling.site_lengths import SiteSize, site_lengths
 from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface, height_above
-from ladar_volume.model.errors import SurfaceError, VolumeError
+from ladar_volume.model.errors import ParameterValueError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_outline, tile_volume
@@ -52,6 +52,9 @@ from ladar_volume.uncertainty.ground_field import (
 from ladar_volume.uncertainty.roughness import FieldSample, roughness_of, sample_step
 from ladar_volume.volume.volume_loads import base_name
 
+#: So few tiles may hold as few points as they like; others so many in the mean, and what a tile
+#: should hold.
+FEW_TILES, FEWEST, ENOUGH = 100, 12, 200
 #: Called with the stage, its points, and how many of them a task has just done.
 Progress = Callable[[str, int, int], None]
 
@@ -123,6 +126,7 @@ def triangulated(
         lambda _: progress("into tiles", cloud.points, each),
     )
     index = tile_index(cloud)
+    check_tile(index, cloud.tile_m)
     of, total = TiledCloud(index, limits), sum(index.count.values())
     longest = sorted(index.count, key=lambda t: (-index.count[t], t))
     found = results(
@@ -132,6 +136,23 @@ def triangulated(
         lambda done: progress("surface", total, done[1][0].points),
     )
     return of, {longest[k]: one for k, (one,) in found}
+
+
+def check_tile(index: TileIndex, tile_m: float) -> None:
+    """Raises :class:`ParameterValueError` for many tiles with next to nothing in each: every one of
+    them would ask all others.
+    """
+    total, tiles = sum(index.count.values()), np.array(list(index.count))
+    if len(tiles) <= FEW_TILES or total >= FEWEST * len(tiles):
+        return
+    over = (np.ptp(tiles, axis=0) + 1.0) * tile_m
+    enough = math.sqrt(float(over.prod()) * ENOUGH / total)
+    raise ParameterValueError(
+        f"{len(tiles):,} tiles of {tile_m:g} m hold {total / len(tiles):.1f} points each, over "
+        f"{over[0]:.4g} by {over[1]:.4g} m: give --tile {enough:.0f} or more, or mend the file's "
+        "unit or scale",
+        value=tile_m,
+    )
 
 
 @dataclass(frozen=True)

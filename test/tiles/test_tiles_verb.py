@@ -35,6 +35,18 @@ def test_the_verb_gives_what_one_triangulation_gives(cloud, capsys):
     assert "tiles of 30 m" in capsys.readouterr().out
 
 
+def test_tiles_with_next_to_nothing_in_them_are_refused(tmp_path, capsys):
+    """Each of them would ask all others: minutes for 600 points, and no word."""
+    rng = np.random.default_rng(1)
+    far = write(tmp_path / "far.laz", rng.uniform(0.0, 2e5, (600, 2)))
+    assert main(words(far, "--tile", "2")) == 2
+    error = capsys.readouterr().err
+    assert "hold 1.0 points each" in error and error.count("\n") == 1
+    enough = float(error.split("--tile ")[1].split(" ")[0])
+    assert 1e5 < enough < 2e5
+    assert main(words(far, "--tile", f"{enough:.0f}", "--store", str(tmp_path / "again"))) == 0
+
+
 def test_errors_are_one_line(cloud, tmp_path, capsys):
     assert main(words(cloud, "--workers", "2")) == 2
     assert main(words(cloud, "--max-edge", "0.001")) == 2
