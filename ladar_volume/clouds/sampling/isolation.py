@@ -32,11 +32,12 @@ def far_from_cloud(r: F64) -> Bool:
     left_out = max(1, int(END * n))
     if n < 4 * left_out:
         return np.zeros(n, np.bool_)
-    ends = np.partition(r, (left_out, n - 1 - left_out), axis=0)
-    low, high = ends[left_out], ends[n - 1 - left_out]
+    ends = (0, left_out, n - 1 - left_out, n - 1)
+    least, low, high, most = np.array([np.partition(column, ends)[list(ends)] for column in r.T]).T
     room = FAR * float((high - low).max())
-    far: Bool = ((r < low - room) | (r > high + room)).any(axis=1)
-    return far if room > 0.0 else np.zeros(n, np.bool_)
+    if not room > 0.0 or ((least >= low - room) & (most <= high + room)).all():
+        return np.zeros(n, np.bool_)
+    return np.asarray(((r < low - room) | (r > high + room)).any(axis=1), np.bool_)
 
 
 def second_neighbour_distance(r: F64) -> F64:
