@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
 STAGES = ("georeference", "filter", "volume", "epochs")
+#: The filter of point-cloud files, which no node needs.
 CLOUDS = "clouds"
 #: Asks for a dot on stdout for each kernel, in place of lines on stderr.
 TICKS = "--ticks"

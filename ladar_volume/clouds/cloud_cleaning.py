@@ -261,8 +261,8 @@ def ask_planes(cloud: Cloud, kept: I32, chosen: I64, out: Bool, far: F64) -> Non
 
 
 def clean(points: F64) -> CleaningResult:
-    """The points (n, 3), m, that are no strays; those far from all others are, whatever their
-    height. Fewer than :data:`FEWEST` are left as they are otherwise.
+    """The points (n, 3), m, that are no strays. A point far from all others is a stray at any
+    height; otherwise fewer than :data:`FEWEST` points are left as they are.
     """
     far = far_from_cloud(points)
     if not far.any():

@@ -21,12 +21,12 @@ WINDOW_S, GAP_S = 0.5, 0.25
 #: A turn of an attitude that tells, and of rates that should have one, rad.
 TURN_RAD, RATES_RAD = math.radians(3.0), math.radians(10.0)
 #: Turn by the rates over that by the attitudes: of rates that are right, that are in degrees, that
-#: are not set; and the cosine between both turns.
-RIGHT, DEGREES, UNSET, ALONG = (0.5, 2.0), (40.0, 80.0), 0.05, 0.7
+#: turn while the attitudes stand still; and the cosine between both turns.
+RIGHT, DEGREES, STILL, ALONG = (0.5, 2.0), (40.0, 80.0), 20.0, 0.7
 #: Windows of one kind that are needed, and their share of those that tell.
 FEWEST, SHARE = 6, 0.8
 
-#: What windows are sorted into. The words follow "in n of m windows with turns".
+#: What windows are sorted into, and what is wrong where most are of that kind.
 WORDS = {
     "right": "",
     "degrees": "the angular velocities are 57 times the turns of the attitudes: they are in "
@@ -39,7 +39,6 @@ WORDS = {
     "attitude, or the angular velocities are not in rad/s",
     "other": "",
 }
-KINDS = tuple(WORDS)
 
 
 class RateCheck:
@@ -51,7 +50,7 @@ class RateCheck:
         self._omega = np.zeros(3)
         self._turn, self._told, self._length_s = np.zeros(3), np.zeros(3), 0.0
         #: Windows by kind.
-        self.windows = dict.fromkeys(KINDS, 0)
+        self.windows = dict.fromkeys(WORDS, 0)
 
     def add(self, t_ns: int, q: F64, omega: F64) -> None:
         """An attitude q (4,) xyzw, body to map, with its angular velocity omega (3,) rad/s about
@@ -95,8 +94,8 @@ def window_kind(turn: F64, told: F64) -> str | None:
     if along and DEGREES[0] < ratio < DEGREES[1]:
         return "degrees"
     if size <= TURN_RAD:
-        return "still" if ratio > 1.0 / UNSET else "other"
-    if ratio < UNSET:
+        return "still" if ratio > STILL else "other"
+    if by_rates == 0.0:  # a gyroscope is never that quiet: attitudes may be noisy, or jump
         return "unset"
     if RIGHT[0] < ratio < RIGHT[1]:
         return "right" if along else "axes"

@@ -31,7 +31,7 @@ CAPTIONS = {
     "heights": "Surface with its toe.",
     "cut-fill": "Height of the surface above the base.",
     "sigma": "Standard deviation of the heights; marks: not seen, and where another pass helps.",
-    "residuals": "How far what was seen at different times lies apart, place by place.",
+    "residuals": "How far apart the surfaces seen at different times lie, place by place.",
     "path": "Path of the scanner by the status of its fixes.",
     "section-1": "Section through the middle, west to east.",
     "section-2": "Section through the middle, south to north.",

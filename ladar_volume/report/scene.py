@@ -30,8 +30,8 @@ class Path:
 
 @dataclass(frozen=True)
 class Residuals:
-    """xy_m : (k, 2) places seen at several times, map · apart_m : (k,) root mean square of what the
-    returns of each time are off the surface through all of them · edge_m : of a place
+    """xy_m : (k, 2) places seen at several times, map · apart_m : (k,) how far the returns of each
+    time lie off the surface through all of them, root mean square · edge_m : of a place
     """
 
     xy_m: F64

@@ -52,8 +52,8 @@ from ladar_volume.uncertainty.ground_field import (
 from ladar_volume.uncertainty.roughness import FieldSample, roughness_of, sample_step
 from ladar_volume.volume.volume_loads import base_name
 
-#: So few tiles may hold as few points as they like; others so many in the mean, and what a tile
-#: should hold.
+#: Up to this many tiles are taken whatever they hold. More must hold this many points each in the
+#: mean; a side that is suggested gives this many.
 FEW_TILES, FEWEST, ENOUGH = 100, 12, 200
 #: Called with the stage, its points, and how many of them a task has just done.
 Progress = Callable[[str, int, int], None]
@@ -139,8 +139,8 @@ def triangulated(
 
 
 def check_tile(index: TileIndex, tile_m: float) -> None:
-    """Raises :class:`ParameterValueError` for many tiles with next to nothing in each: every one of
-    them would ask all others.
+    """Raise :class:`ParameterValueError` for many tiles with next to nothing in each: each of them
+    would ask all others.
     """
     total, tiles = sum(index.count.values()), np.array(list(index.count))
     if len(tiles) <= FEW_TILES or total >= FEWEST * len(tiles):

@@ -585,6 +585,17 @@ def test_odometry_is_a_pose_source_of_its_own():
     }
 
 
+def test_odometry_that_does_not_always_tell_its_rates_gives_the_same_states():
+    parameters = _parameters(pose_source="odometry", max_position_gap_s=0.2)
+    silent = np.full(3, np.nan)
+    whole = [_odometry(i * 0.05) for i in range(41)]
+    some = [_odometry(i * 0.05, **({"omega_body": silent} if i % 7 < 4 else {})) for i in range(41)]
+    one, two = (_run(parameters, poses)[2] for poses in (whole, some))
+    assert np.array_equal(one.t_ns, two.t_ns)
+    np.testing.assert_allclose(two.omega_body, one.omega_body, atol=1e-9)
+    np.testing.assert_allclose(two.v_body, one.v_body, atol=1e-9)
+
+
 def test_odometry_carries_cross_covariance():
     rng = np.random.default_rng(2)
     L = rng.normal(size=(6, 6)) * 1e-2

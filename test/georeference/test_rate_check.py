@@ -77,6 +77,14 @@ def test_a_platform_that_stands_tells_nothing():
         assert found.doubts().sound and not sum(found.windows.values())
 
 
+def test_attitudes_too_noisy_to_tell_are_no_rates_left_at_zero():
+    t, q, rates = motion()
+    rng = np.random.default_rng(8)
+    noisy = Rotation.from_rotvec(np.deg2rad(4.0) * rng.normal(size=(len(q), 3))).as_quat()
+    found = checked(t, noisy, rng.normal(0.0, 0.002, rates.shape))
+    assert sum(found.windows.values()) > FEWEST and found.doubts().sound
+
+
 def test_gaps_unknown_rates_and_a_clock_that_stands_make_no_window():
     t, q, rates = motion()
     assert not sum(checked(t * 20, q, rates).windows.values())
@@ -96,7 +104,8 @@ def test_a_few_damaged_attitudes_do_not_decide():
         ([0.1, 0.0, 0.0], [0.1, 0.0, 0.0], "right"),
         ([0.1, 0.0, 0.0], [0.21, 0.0, 0.0], "other"),
         ([0.1, 0.0, 0.0], [0.0, 0.1, 0.0], "axes"),
-        ([0.1, 0.0, 0.0], [0.001, 0.0, 0.0], "unset"),
+        ([0.1, 0.0, 0.0], [0.001, 0.0, 0.0], "other"),
+        ([0.1, 0.0, 0.0], [0.0, 0.0, 0.0], "unset"),
         ([0.02, 0.0, 0.0], [1.146, 0.0, 0.0], "degrees"),
         ([0.0, 0.0, 0.0], [0.3, 0.0, 0.0], "still"),
         ([0.03, 0.0, 0.0], [0.3, 0.0, 0.0], "other"),

@@ -11,7 +11,11 @@ import pytest
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
 from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.results import output_folder
-from ladar_volume.io.sensor_messages import fix_from_message, imu_from_message
+from ladar_volume.io.sensor_messages import (
+    fix_from_message,
+    imu_from_message,
+    odometry_from_message,
+)
 from ladar_volume.model.errors import AttitudeError, BagError, FixError, OutputError
 from ladar_volume.model.parameters import LoggerParameters
 
@@ -50,6 +54,25 @@ def test_good_samples_are_read_whole():
     assert fix_from_message(fix()).t_ns == 1_000_000_005
     np.testing.assert_allclose(np.diag(fix_from_message(fix()).C_enu), [1e-4, 1e-4, 4e-4])
     assert imu_from_message(imu()).omega_body.tolist() == [0.0, 0.0, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular", "known"), [(0.0, 0.0, False), (0.4, 0.0, True), (0.0, 0.3, True)]
+)
+def test_a_twist_of_zeros_alone_has_no_known_rates(linear, angular, known):
+    def vector(x):
+        return Message(x=x, y=0.0, z=0.0)
+
+    place = Message(position=vector(1.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0))
+    found = odometry_from_message(
+        Message(
+            header=Message(stamp=Message(sec=7, nanosec=0), frame_id="odom"),
+            pose=Message(pose=place, covariance=np.eye(6).ravel()),
+            twist=Message(twist=Message(linear=vector(linear), angular=vector(angular))),
+        )
+    )
+    wanted = [angular, 0.0, 0.0] if known else [np.nan] * 3
+    np.testing.assert_array_equal(found.omega_body, wanted)
 
 
 def test_unknown_covariance_is_none_and_never_zero():

@@ -149,6 +149,8 @@ for step in range(48):
     t = 1_700_000_000 * S + step * S // 10
     for of in pubs.values():
         for kind, (publisher, make) in of.items():
+            if kind == "cloud" and step == 0:
+                continue  # its returns would lie before the first pose
             for part in range(5 if kind == "imu" else 1):
                 publisher.publish(make(t + part * S // 50))
     time.sleep(max(0.0, began + 0.1 * step - time.monotonic()))
@@ -198,11 +200,8 @@ def test_what_is_wrong_is_named(seen, setup, wrong):
 
 def test_a_right_setup_is_good_and_names_its_vehicle(seen):
     right = seen["said"]["right/georeference_node"]
-    assert right["hardware"] == "rover"
+    assert right["hardware"] == "rover" and right["texts"][-1] == [0, "good"]
     assert not [text for level, text in right["texts"] if level == 2]
-    # on a busy machine the first returns, which came before any pose, are still a share of all
-    last = right["texts"][-1]
-    assert last == [0, "good"] or last[1].endswith("% of returns lost as point_before_trajectory")
 
 
 def test_a_late_imu_gets_no_advice_for_the_clock_of_the_lidar(seen):

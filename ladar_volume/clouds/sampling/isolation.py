@@ -19,14 +19,14 @@ from ladar_volume.model.records import F64, Bool
 #: Neighbours whose distance is the spacing; points next to one that tell what is usual; how many
 #: times that one hands on, at most; rounds of growth.
 NEXT, USUAL, HANDS, ROUNDS = 2, 5, 1.2, 12
-#: What is farther from a cloud than so many times its width is not of it; the width leaves out this
-#: share of the points, and one at least, at either end of each axis.
+#: A point farther from a cloud than this many times its width is not part of it. The width leaves
+#: out this share of the points, at least one, at either end of each axis.
 FAR, END = 100.0, 0.001
 
 
 def far_from_cloud(r: F64) -> Bool:
-    """Which (n,) of points (n, 3) lie so far from the others that no grid holds both: 0, 0, 0 among
-    map coordinates, a height of -9999 that stands for none.
+    """Which (n,) of points (n, 3) lie so far from the others that no grid holds both, such as
+    0, 0, 0 among map coordinates, or a height of -9999 where there is none.
     """
     n = len(r)
     left_out = max(1, int(END * n))

@@ -92,7 +92,7 @@ def _multiples(x: F64, step: float, precision: float) -> bool:
 
 
 def _point_hashes(r: F64, seed: int) -> npt.NDArray[np.uint64]:
-    """A number (n,) for each point (n, 3) that hangs on its coordinates alone."""
+    """A number (n,) for each point (n, 3) that depends on its coordinates alone."""
     mixed = np.full(len(r), seed, np.uint64)
     for axis in range(3):
         mixed = hashes(mixed ^ (r[:, axis] + 0.0).view(np.uint64))

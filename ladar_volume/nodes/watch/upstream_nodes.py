@@ -10,8 +10,8 @@ from ladar_volume.model.verdict import Doubt, Verdict
 
 #: How many points georeference_node has sent since it was configured.
 SENT = "sent_points"
-#: georeference_node may end so long before the next node is asked to, s; and its newest cloud was
-#: this old at most, s, where clouds were still coming.
+#: georeference_node may end this long before the next node is asked to, s. Clouds were still coming
+#: where its newest one was at most this old, s.
 ALONE_S, COMING_S = 5.0, 1.0
 
 
@@ -113,7 +113,7 @@ class UpstreamNodes:
             if (count := sum(n for why, n in lost.items() if why.startswith("message_queue_full")))
         ]
         words += [self._restarted_text()] if self._restarts else []
-        words += list(filter(None, [self._ended_text()]))
+        words += [ended] if (ended := self._ended_text()) else []
         sent = self.lines("georeference_node").get(SENT, "")
         taken = self.lines("filter_node").get("count_points", "")
         if sent.isdecimal() and taken.isdecimal() and int(taken) < int(sent):

@@ -189,7 +189,8 @@ def places_of(corners: F64, share: F64) -> tuple[F64, F64, F64]:
     (ux, uy, _), (vx, vy, _) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
     area = 0.5 * np.abs(ux * vy - uy * vx)
     # a sliver makes up to four parts for each side of its length, whatever its area
-    longest = np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max(axis=1)
+    edges = (np.roll(corners, 1, axis=1) - corners)[:, :, :2]
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
     length = float(longest[share > 0.0].sum())
     side = max(float(np.sqrt((area * share).sum() / CELLS)), length / (64 * CELLS))
     some = np.empty((256 * CELLS + 4 * len(corners), 4))
