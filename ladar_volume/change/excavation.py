@@ -94,11 +94,11 @@ class Region:
 
 @dataclass(frozen=True)
 class Excavation:
-    """removed_m3 : taken away from A to B · sigma_m3, budget_m6 : its noise and registration, NaN
-    where unknown · closed_m3 : what hangs on the ring's wall and on triangles beyond the limit, as
-    their tetrahedra to the body's middle, without sign · published_m3 : each surface over its own
-    boundary, about the same pole · between : the body and its derivatives · in_a, in_b : masks of
-    the regions · area_m2 : of the whole body
+    """removed_m3 : taken away from A to B · sigma_m3, budget_m6 : its noise and registration,
+    NaN where unknown · closed_m3 : what depends on the ring's wall and on triangles beyond the
+    limit, as their tetrahedra to the body's middle, without sign · published_m3 : each surface
+    over its own boundary, about the same pole · between : the body and its derivatives · in_a,
+    in_b : masks of the regions · area_m2 : of the whole body
     """
 
     removed_m3: float
@@ -322,7 +322,7 @@ def between_scans(
 
 
 def closed_volume_share(d: TwoSurfaces, max_edge_m: float = np.inf) -> float:
-    """What hangs on triangles that no scan saw: the ring's wall and those with too long an edge,
+    """What depends on triangles that no scan saw: the ring's wall and those with too long an edge,
     m³, see :class:`Excavation`.
     """
     closing = ~short_edges(d.vertices, d.triangles, max_edge_m, angle=False)

@@ -21,7 +21,7 @@ STANDS_OUT = 4.1
 #: Share of the ring's lines on changed ground that is named, and at which nothing is left to fit.
 CHANGED_SHARE, LOST_SHARE = 0.05, 0.4
 #: An edge so many times the median one bridges what was not seen, and the share of the volume
-#: that hangs on such triangles at which that is named.
+#: that depends on such triangles at which that is named.
 WIDE_EDGES, BRIDGED_SHARE = 8.0, 0.05
 
 
@@ -153,7 +153,7 @@ def changed_ground_doubts(fit: RingFit, found: Excavation) -> list[Doubt]:
 
 
 def bridged_doubts(found: Excavation) -> list[Doubt]:
-    """The doubt of surfaces that were not seen where much of the volume hangs on them."""
+    """The doubt of surfaces that were not seen where much of the volume depends on them."""
     d = found.between
     t = d.triangles[: -2 * len(d.gap_m)]  # the wall comes last
     edge = np.linalg.norm(d.vertices[t] - d.vertices[t[:, [1, 2, 0]]], axis=2)
@@ -168,7 +168,7 @@ def bridged_doubts(found: Excavation) -> list[Doubt]:
     return [
         Doubt(
             "unseen",
-            f"{unseen:.3g} m³ hang on {area:.3g} m² of triangles with edges of more than "
+            f"{unseen:.3g} m³ depend on {area:.3g} m² of triangles with edges of more than "
             f"{WIDE_EDGES:g} times the usual one, where no scan saw the surface: scan from another "
             "place too",
             unseen,

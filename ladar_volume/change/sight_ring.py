@@ -22,7 +22,7 @@ from ladar_volume.tin.insertion_order import hilbert_order
 #: How far outside a triangle, in barycentric coordinates, a line still meets it: lines through
 #: shared edges must not slip between.
 EDGE_TOLERANCE = 1e-9
-#: Most vertices that a point of the ring hangs on, and fewest.
+#: Most vertices that a point of the ring depends on, and fewest.
 FIT_POINTS, MIN_FIT = 48, 6
 #: Triangles that rays pass over together.
 GROUP = 64
@@ -201,8 +201,8 @@ def target(tin: Tin) -> Target:
 
 @dataclass(frozen=True)
 class Hits:
-    """Where lines meet a surface. point : (k, 3) m · corner : (k, c) int32, vertices it hangs on ·
-    weight : (k, c), together 1 · normal : (k, 3), of the plane there, of any length · distance :
+    """Where lines meet a surface. point : (k, 3) m · corner : (k, c) int32, vertices it depends on
+    · weight : (k, c), together 1 · normal : (k, 3), of the plane there, of any length · distance :
     (k,) m along the line
     """
 
@@ -335,7 +335,7 @@ def slide(ring: Ring, hits: Hits) -> F64:
 
 def pull(gradient: F64, ring: Ring, hits: Hits, into: F64) -> None:
     """Add to ``into`` (n, 3) what a gradient (k, 3) by the ring's points on a surface means for the
-    vertices (n, 3) they hang on.
+    vertices (n, 3) they depend on.
 
     A vertex that moves by δ lifts the plane it belongs to, so the point slides along its line by
     ``w n·δ / (n·d)``.

@@ -76,7 +76,7 @@ def closing_doubts(made: CloudBodies) -> tuple[Doubt, ...]:
             doubts.append(
                 Doubt(
                     "body_unseen",
-                    f"{100 * share:.2g} % of body {k} hangs on how the part that was not seen is "
+                    f"{100 * share:.2g} % of body {k} depends on how the part that was not seen is "
                     "closed: scan its foot and its underside",
                     share,
                 )

@@ -38,8 +38,8 @@ ZERO = design_surface([0.0])
 @dataclass(frozen=True)
 class Solid:
     """One volume before its noise: raw cut and fill m³, area m² · gradients : (n, 2) by the vertex
-    heights, of net and cut, for every surface it hangs on · correction : near the base, None where
-    the noise is not known or nothing is near · curved_m6 : second-order variance of cut and
+    heights, of net and cut, for every surface it depends on · correction : near the base, None
+    where the noise is not known or nothing is near · curved_m6 : second-order variance of cut and
     fill, and of what remains of the fold · extra : further variances m⁶ of the net volume, by
     source
     """

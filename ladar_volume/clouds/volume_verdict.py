@@ -178,7 +178,7 @@ def coarse_doubts(volume: CloudVolume, between: BetweenPoints) -> list[Doubt]:
     out = []
     if between.unseen_m3 > COARSE * size:
         words = (
-            f"{between.unseen_m3:.3g} m³ ({100 * between.unseen_m3 / size:.1f} %) hang on long "
+            f"{between.unseen_m3:.3g} m³ ({100 * between.unseen_m3 / size:.1f} %) depend on long "
             "triangles between corners of unlike heights, where nothing was measured; scan these "
             "places, as behind and at the foot of a pile"
         )

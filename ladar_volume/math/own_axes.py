@@ -22,7 +22,7 @@ MIDDLE_BITS, ANGLE = 20, 2.0**40
 
 @dataclass(frozen=True)
 class OwnAxes:
-    """middle : (2,) m · angle : of the first axis. Both are rounded, so that they do not hang on
+    """middle : (2,) m · angle : of the first axis. Both are rounded, so that they do not depend on
     the order in which the places are summed, nor what lies on the edge of a cell.
     """
 

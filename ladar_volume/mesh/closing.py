@@ -8,7 +8,7 @@ and its foot, and the area between the feet of outer rims and those of holes is 
 other rim is a gap: it is filled with the least area, without new vertices, or from its middle where
 that would use an edge of the mesh twice.
 
-How much hangs on it is said of each rim: ``closed_m3`` is the volume between the closing surface
+How much depends on it is said of each rim: ``closed_m3`` is the volume between the closing surface
 and the rim spanned from its middle; ``doubt_m3`` is what the volume changes when the closing
 surface is drawn the other plausible way: straight down instead of along the tangent, or bulging as
 the surface around a gap does instead of flat. The latter counts as one standard deviation.

@@ -27,7 +27,7 @@ class ToeLine:
     (t,) of the surface; between their neighbours where there is none · by_vertex : (t, n) shares of
     the vertices in these heights · seen : (t,) whether there is a surface · outward_m : (t,) by how
     much the surface is higher on the line than one usual edge outside it, beyond the tilt of the
-    whole line: what the heights hang on where exactly the outline was drawn
+    whole line: what the heights depend on where exactly the outline was drawn
     """
 
     xy: F64

@@ -14,7 +14,7 @@ from ladar_volume.tiles.tile_work import Workers, results
 
 R = TypeVar("R")
 
-#: Into how many batches the tiles go, whatever the number of workers: sums do not hang on it.
+#: Into how many batches the tiles go, whatever the number of workers: sums do not depend on it.
 BATCHES = 64
 
 

@@ -86,7 +86,7 @@ def neighbour_medians(points_map: F64) -> F64:
     wrong shape, or fewer than three footprints off one line.
     """
     points = finite_points(points_map)
-    # footprints in sorted order: where diagonals are free to choose, the choice must not hang on
+    # footprints in sorted order: where diagonals are free to choose, the choice must not depend on
     # the order of the points
     footprints, member, counts = np.unique(
         points[:, :2] + 0.0, axis=0, return_inverse=True, return_counts=True

@@ -2,7 +2,7 @@
 boundary, adjustment, exchange of diagonals.
 
 The order is that of seed 000 chapters 2 and 3. Where diagonals are exchanged, the heights are
-adjusted before, since the choice of diagonals hangs on them, and again after.
+adjusted before, since the choice of diagonals depends on them, and again after.
 """
 
 from __future__ import annotations

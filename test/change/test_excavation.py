@@ -1,4 +1,4 @@
-"""Kern's procedure on one page: regions, noise along the beam, what hangs on closed parts,
+"""Kern's procedure on one page: regions, noise along the beam, what depends on closed parts,
 resolution, refusals.
 """
 

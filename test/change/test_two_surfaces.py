@@ -131,7 +131,7 @@ def test_gradient_against_differences(case):
     for points, g, which in ((a, d.gradient_a, 0), (b, d.gradient_b, 1)):
         edge = np.argsort(np.abs(points[:, 0] - opening[0] + 0.43) + 9 * (points[:, 2] < -0.1))[
             :2
-        ]  # some hang on the ring
+        ]  # some depend on the ring
         for i in [*edge, *rng.choice(np.flatnonzero(np.abs(g).sum(axis=1) > 0), 2)]:
             u = rng.standard_normal(3)
             volume = []

@@ -77,8 +77,8 @@ def test_the_bundled_survey_is_predicted(capsys, tmp_path):
         < math.sqrt(plan["budget_m6"]["base_surface"] / survey["budget_m6"]["base_surface"])
         < 2.0
     )
-    # nearly all of the rest; what the base cancels to a hundredth hangs on single triangles of the
-    # outline
+    # nearly all of the rest; what the base cancels to a hundredth depends on single triangles of
+    # the outline
     for source in ("position", "attitude", "noise", "beam_vertical"):
         assert math.sqrt(plan["budget_m6"][source]) == pytest.approx(
             math.sqrt(survey["budget_m6"][source]), rel=0.15

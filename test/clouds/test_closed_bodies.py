@@ -1,4 +1,4 @@
-"""Volumes of bodies: corrections, what hangs on the closing, and uncertainty against independent
+"""Volumes of bodies: corrections, what depends on the closing, and uncertainty against independent
 computation and repeated clouds.
 """
 

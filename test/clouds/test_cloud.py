@@ -299,7 +299,7 @@ def test_self_set_noise_is_the_true_one_though_edges_raise_the_first_guess(kind)
 
 
 def test_a_surface_carried_on_beyond_its_points_is_named():
-    """A few stray points beside a plane: what is fitted to them hangs on the plane's far end."""
+    """A few stray points beside a plane: what is fitted to them depends on the plane's far end."""
     rng = np.random.default_rng(8)
     plane = np.column_stack([rng.uniform(-1, 1, (3000, 2)), rng.normal(0, 0.01, 3000)])
     stray = np.column_stack(

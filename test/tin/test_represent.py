@@ -138,7 +138,7 @@ def test_diagonals_exchanged_last_leave_the_adjusted_heights():
     assert last.exchanges > 0 and last.adjusted_on is not None
     assert np.array_equal(last.tin.vertices, adjusted.tin.vertices)
     assert again.rms_m < last.rms_m and last.asd_m < adjusted.asd_m
-    # heights hang on the points as they did before the exchange, in plan too
+    # heights depend on the points as they did before the exchange, in plan too
     gradient = np.zeros((len(last.tin.vertices), 1, 3))
     gradient[:, 0, 2] = rng.normal(size=len(gradient))
     assert np.array_equal(last.by_points(gradient, len(r)), adjusted.by_points(gradient, len(r)))

@@ -47,7 +47,7 @@ def _add_volume_rows(table: Table, facts: Mapping[str, Any]) -> None:
         "any pole", f"{facts['pole_spread_m3']:.1e} m³ is the largest change over nine other poles"
     )
     table.add_row(
-        "closed", f"{facts['closed_m3']:.4f} m³ hang on what no scan saw; the body is watertight"
+        "closed", f"{facts['closed_m3']:.4f} m³ depend on what no scan saw; the body is watertight"
     )
     for each in facts.get("bodies", []):
         table.add_row(each["path"], f"{each['volume_m3']:.4f} m³, {each['parts']} parts")

@@ -2,7 +2,7 @@
 
 A convex face is a fan about its first corner; from one with a corner that points inward ears are
 cut in its mean plane (Newell's normal), so that no triangle lies over another. A face whose corners
-are in no plane says nothing about which diagonal holds: what hangs on it is a doubt.
+are in no plane says nothing about which diagonal holds: what depends on it is a doubt.
 """
 
 from __future__ import annotations
