@@ -42,8 +42,12 @@ from ladar_volume.volume.prismoids import positive_part
 
 #: A level of zero, above which differences stand.
 ZERO = design_surface([0.0])
-#: Lines of a budget that are noise of single returns.
-NOISE = ("noise", "noise_tangential", "noise_previous", "noise_tangential_previous")
+#: Lines of a budget that are of single returns and patches.
+NOISE = tuple(
+    f"{name}{end}"
+    for name in ("noise", "noise_tangential", "smoothing")
+    for end in ("", "_previous")
+)
 #: Places and weights for means over a standard normal distribution (Gauss-Hermite).
 PLACES, WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 WEIGHTS = WEIGHTS / WEIGHTS.sum()
@@ -51,7 +55,8 @@ WEIGHTS = WEIGHTS / WEIGHTS.sum()
 
 class CutAndFill(NamedTuple):
     """cut_m3 ± sigma_cut_m3, fill_m3 ± sigma_fill_m3 : corrected, 0 or more · folded_m3 : taken
-    from both for noise, over near_area_m2
+    from both for noise, over near_area_m2 · smoothing_m3 : taken from cut for what the filter's
+    fits smoothed away; less what the net volume had of it, from fill
     """
 
     cut_m3: float
@@ -60,6 +65,7 @@ class CutAndFill(NamedTuple):
     sigma_fill_m3: float
     folded_m3: float
     near_area_m2: float
+    smoothing_m3: float
 
 
 def cut_and_fill(
@@ -75,14 +81,22 @@ def cut_and_fill(
     """
     near = near_difference(new, previous, difference)
     folded = 0.0 if near is None else near.removed_m3(found.cut_m3, found.fill_m3)
-    variance = part_variances(new, previous, found, difference, near, separate)
+    variance, smoothed = part_variances(new, previous, found, difference, near, separate)
     variance += shared_shift_variances(new, previous, difference, budget, separate)
     if near is not None and near.correction_m3 + near.remaining.fold_m3 > folded:
         # one of the two is 0, and the other the net volume: its noise is no less than that
         variance = np.maximum(variance, sum(budget.lines.get(name, 0.0) for name in NOISE))
     cut, fill = np.sqrt(np.maximum(variance, 0.0)).tolist()
     area = 0.0 if near is None else near.near_area_m2
-    return CutAndFill(found.cut_m3 - folded, found.fill_m3 - folded, cut, fill, folded, area)
+    return CutAndFill(
+        found.cut_m3 - folded - smoothed,
+        found.fill_m3 - folded - (smoothed - budget.smoothing_m3),
+        cut,
+        fill,
+        folded,
+        area,
+        smoothed,
+    )
 
 
 def point_variance(epoch: Epoch) -> F64:
@@ -143,9 +157,9 @@ def part_variances(
     difference: Difference,
     near: NearBase | None,
     separate: Collection[str],
-) -> F64:
+) -> tuple[F64, float]:
     """Variances (2,) m⁶ of cut and of fill: every source through the mean slopes, what bends with
-    the noise, and what remains of the fold.
+    the noise, and what remains of the fold; and what smoothing made cut too large by, m³.
     """
     upper, lower = found.gradient_cut, found.lower_cut
     more = 0.0
@@ -156,11 +170,11 @@ def part_variances(
         of_upper, of_lower = shares if difference.upper_carries else shares[::-1]
         upper = blend_cut_gradients(of_upper, found.gradient_net, upper)
         lower = blend_cut_gradients(of_lower, found.lower_net, lower)
-    cut = epoch_budget(new, previous, upper, lower, separate).sigma
+    cut = epoch_budget(new, previous, upper, lower, separate)
     fill = epoch_budget(
         new, previous, upper - found.gradient_net, lower - found.lower_net, separate
     ).sigma
-    return np.array([cut**2 + more, fill**2 + more])
+    return np.array([cut.sigma**2 + more, fill**2 + more]), cut.smoothing_m3
 
 
 def blend_cut_gradients(share: F64, net: F64, cut: F64) -> F64:

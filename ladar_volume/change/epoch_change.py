@@ -108,7 +108,7 @@ def as_volume(
     """The difference as a volume whose base is the epoch before."""
     p, tin = new.sources.parameters.volume, difference.tin
     return Volume(
-        found.net_m3,
+        found.net_m3 - budget.smoothing_m3,
         budget.sigma,
         p.confidence,
         NormalDist().inv_cdf(0.5 + p.confidence / 2),
@@ -132,4 +132,5 @@ def as_volume(
         budget.within,
         budget.second.shift_m3,
         budget.second.matters,
+        smoothing_m3=budget.smoothing_m3,
     )

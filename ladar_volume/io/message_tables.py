@@ -150,12 +150,13 @@ def patch_columns(update: FilterUpdate) -> Columns:
     """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its
     key), 2 calibration columns (`index` the group), those of the beams' residuals last, 3
     navigation bin `other` and last its residual, 4 removed patch, 5 end marker (index 1: the last
-    part of an update). Column 13 + p of the head tells whether residuals are known.
+    part of an update). Column 13 + p of the head tells whether residuals are known; the next one
+    is that of the own voxel, which older tables leave zero.
     """
     a = update.patches
     m, p = a.beta.shape
     known = len(a.nav_residual) > 0
-    width = max(p * p, (p + 2) * GROUP + known, 14 + p)
+    width = max(p * p, (p + 2) * GROUP + known, 15 + p)
     head = np.zeros((m, width))
     head[:, 0:3], head[:, 3:6], head[:, 6:9] = a.centre, a.normal, a.tangent
     head[:, 9], head[:, 10], head[:, 11], head[:, 12], head[:, 13 : 13 + p] = (
@@ -166,6 +167,8 @@ def patch_columns(update: FilterUpdate) -> Columns:
         a.beta,
     )
     head[:, 13 + p] = known
+    if known and len(a.own_residual):
+        head[:, 14 + p] = a.own_residual
     by_bin = a.M_nav.reshape(len(a.nav_bin), (p + 2) * GROUP)
     if known:
         by_bin = np.concatenate([by_bin, a.nav_residual[:, None]], axis=1)
@@ -336,6 +339,7 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
         residuals = {
             "nav_residual": values[nav][:, (p + 2) * GROUP].copy(),
             "beam_residual": np.ascontiguousarray(by_beam),
+            "own_residual": head[:, 14 + p].astype(np.float32),
         }
     patches = Patches(
         keys,

@@ -69,6 +69,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
             "matters": volume.second_order_matters,
         },
         "chord_m3": volume.chord_m3,
+        "smoothing_m3": volume.smoothing_m3,
         "seen_share": volume.seen_share,
         "gaps": [dataclasses.asdict(gap) for gap in volume.gaps],
         "objects": [dataclasses.asdict(one) for one in volume.objects[:MOST_OBJECTS]],

@@ -229,7 +229,8 @@ class PatchTable:
     for all: by the platform's position along the normal (of beta), the tangent and the binormal,
     across which it does nothing, then by its attitude · nav_residual : (l,) m, mean residuals of
     the inliers of each bin, and beam_residual : (m, beams) m, of those of each beam less what their
-    bins are off; NaN, or both of no length, where they are not known
+    bins are off; NaN, or both of no length, where they are not known · own_residual : (m,) m, mean
+    residual of the inliers in the patch's own voxel; zero, or of no length, where it is not known
     """
 
     key: I64
@@ -249,6 +250,7 @@ class PatchTable:
     M_nav: F32 | I16
     nav_residual: F32 = field(default_factory=no_residuals, kw_only=True)
     beam_residual: F32 = field(default_factory=no_residuals, kw_only=True)
+    own_residual: F32 = field(default_factory=no_residuals, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.key)
@@ -414,7 +416,8 @@ class Volume:
     correlated; they do not add up to it. ``second_order_m3`` : mean second-order effect of the
     uncertain boresight and attitude, not corrected but in lines of the budget, and whether that
     ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what
-    the surface's chords span above hollows and below crests. ``seen_share`` : of the area, where
+    the surface's chords span above hollows and below crests; ``smoothing_m3`` : the same for what
+    the filter's fits smoothed away, as at the toe. ``seen_share`` : of the area, where
     points were seen; ``gaps`` : the largest places where none were, bridged, with a line
     ``unseen`` of the budget. ``objects`` : what stood on the surface, is not counted, and hides
     what is bridged. ``agreement`` : of the passes with the budget, where it was asked.
@@ -443,6 +446,7 @@ class Volume:
     second_order_m3: float = 0.0
     second_order_matters: bool = False
     chord_m3: float = 0.0
+    smoothing_m3: float = 0.0
     seen_share: float = 1.0
     gaps: tuple[Gap, ...] = ()
     objects: tuple[StandingObject, ...] = ()

@@ -81,6 +81,7 @@ class PatchBuilder:
             found.M_nav,
             nav_residual=found.nav_residual,
             beam_residual=found.beam_residual,
+            own_residual=found.own_residual,
         )
 
     def _pairs(self, kept: FitStore, rows: I64, once: bool) -> tuple[I64, I64]:
@@ -135,6 +136,7 @@ class PatchBuilder:
             np.zeros((nav_start[-1], p + 2, 4), np.float32),
             np.zeros(nav_start[-1], np.float32),
             np.zeros((len(rows), self.beams), np.float32),
+            np.zeros(len(rows), np.float32),
         )
         patch_sensitivity.sensitivities(rows, s.arrays, fits, p, mount, out)
         return out

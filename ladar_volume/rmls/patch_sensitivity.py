@@ -36,7 +36,7 @@ class MountArrays(NamedTuple):
 class SensitivityArrays(NamedTuple):
     """Of m patches with l time bins in all: nav_start (m + 1,), nav_bin (l,), and the mean
     sensitivities M_cal (m, p + 2, 11 + 2 beams), M_nav (l, p + 2, 4); mean residuals nav_residual
-    (l,) and beam_residual (m, beams), see :func:`mean_residuals`.
+    (l,), beam_residual (m, beams) and own_residual (m,), see :func:`mean_residuals`.
     """
 
     nav_start: I64
@@ -45,6 +45,7 @@ class SensitivityArrays(NamedTuple):
     M_nav: F32
     nav_residual: F32
     beam_residual: F32
+    own_residual: F32
 
 
 #: Navigation time bins of a patch, at most: those of forty seconds. A patch that is seen for an
@@ -305,10 +306,12 @@ def residual(r: F64, slot: int, frame: F64, p: int, x: F64, beta: F64) -> Any:
 @kernel
 def mean_residuals(
     a: int, mine: I32, store: VoxelArrays, fits: Fits, p: int, run: I64, by_run: F32, by_beam: F32
-) -> None:
+) -> float:
     """Weighted mean residuals of the inliers of patch a: of each run, to by_run (runs,), and of
     each beam less what the runs of its returns are off, to by_beam (beams,): what differs between
     the beams of one time, whatever differs between times. Zero for a beam without a return.
+    Returns the mean of those in the patch's own voxel, zero where there are none: what the fit to
+    the voxel and its surroundings has smoothed away there.
     """
     x, frame, above = np.zeros(6), np.empty((4, 3)), np.empty(len(mine))
     weights = fits.weights[fits.start[a] : fits.start[a] + fits.used[a]]
@@ -316,9 +319,13 @@ def mean_residuals(
     of_beam, seen = np.zeros(len(by_beam)), np.zeros(len(by_beam))
     frame[0], frame[1], frame[2] = fits.centre[a], fits.normal[a], fits.tangent[a]
     second_tangent(frame[1], frame[2], frame[3])
+    own, within = 0.0, 0.0
     for i in range(len(mine)):
         polynomial_row(store.r, mine[i], frame[0], frame[2], frame[3], p, x)
         above[i] = residual(store.r, mine[i], frame, p, x, fits.beta[a])
+        if mine[i] // store.cap == a:
+            own += weights[i] * above[i]
+            within += weights[i]
         sums[run[i]] += weights[i] * above[i]
         counts[run[i]] += weights[i]
     for g in range(len(by_run)):
@@ -330,6 +337,7 @@ def mean_residuals(
         seen[beam] += weights[i]
     for k in range(len(by_beam)):
         by_beam[k] = of_beam[k] / seen[k] if seen[k] > 0.0 else 0.0
+    return own / within if within > 0.0 else 0.0
 
 
 @kernel
@@ -349,7 +357,7 @@ def _sensitivities_of(
     for g in range(number):
         time = store.t_ns[mine[runs.representatives[g]]]
         out.nav_bin[first + g] = np.int64(np.floor_divide(time, mount.bin_ns))
-    mean_residuals(
+    out.own_residual[i_row] = mean_residuals(
         a,
         mine,
         store,

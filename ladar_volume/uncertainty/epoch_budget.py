@@ -104,7 +104,7 @@ class EpochBudget:
     """lines : m⁶ by source, all uncorrelated; those of the previous survey end in ``_previous`` ·
     within, second : as in a volume's budget · sigma_tau_range : m³, with all correlation times
     divided by 3 and multiplied by 3 · sigma_naive : m³ · sigma_separate : m³, if the two surveys
-    had nothing in common
+    had nothing in common · smoothing_m3 : what the result is too large by, as in a volume's budget
     """
 
     lines: dict[str, float]
@@ -113,6 +113,7 @@ class EpochBudget:
     sigma_tau_range: tuple[float, float]
     sigma_naive: float
     sigma_separate: float
+    smoothing_m3: float
 
     @property
     def sigma(self) -> float:
@@ -272,7 +273,15 @@ def epoch_budget(
     apart += boresight_second_order(one, two, C_new, C_old, False).line_m6 - second.line_m6
     naive = math.hypot(new.naive_sigma(gradient_new), previous.naive_sigma(gradient_previous))
     bounds = math.sqrt(min(tau)), math.sqrt(max(tau))
-    return EpochBudget(lines, within, all_second, bounds, naive, math.sqrt(max(apart, 0.0)))
+    return EpochBudget(
+        lines,
+        within,
+        all_second,
+        bounds,
+        naive,
+        math.sqrt(max(apart, 0.0)),
+        one.smoothing.shift_m3 + two.smoothing.shift_m3,
+    )
 
 
 def lines_of_epochs(
@@ -294,11 +303,12 @@ def lines_of_epochs(
 
 
 def own_lines(epoch: Epoch, s: Sensitivities) -> dict[str, float]:
-    """Variances that are one survey's own, m⁶: noise and navigation."""
+    """Variances that are one survey's own, m⁶: noise, navigation and smoothing."""
     return {
         "noise": max(0.0, float(s.C_results[0, 0])),
         "noise_tangential": s.tangential_m6,
         **navigation_variance(s.navigation, epoch.sources.parameters.budget),
+        "smoothing": s.smoothing.variance_m6,
     }
 
 

@@ -277,6 +277,8 @@ def prepare_patches(patches: Patches) -> HeldPatches:
         rows["beam_residual"] = np.full(
             (len(patches), max(0, beam_count(patches))), np.nan, np.float32
         )
+    if not len(patches.own_residual):
+        rows["own_residual"] = np.zeros(len(patches), np.float32)
     rows["M_nav"], rows["nav_unit"] = row_kernel(patches.nav_start, patches.M_nav)
     rows["M_cal"] = np.ascontiguousarray(patches.M_cal[..., :SHARED])
     rows["M_beam"], rows["beam_unit"] = beam_kernel(

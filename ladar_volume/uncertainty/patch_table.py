@@ -41,7 +41,7 @@ from ladar_volume.uncertainty.patch_merge import (
 #: looks: 7 kB and more of each wait.
 PENDING = 4000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
-HELD = ("factor", "nav_unit", "M_beam", "beam_unit", "beam_residual")
+HELD = ("factor", "nav_unit", "M_beam", "beam_unit", "beam_residual", "own_residual")
 
 
 def ragged_index(start: I64, rows: I64) -> I64:

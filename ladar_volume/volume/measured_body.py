@@ -134,22 +134,23 @@ def joint_sigma(
 def volume_of(
     survey: SurveyedSurface, footing: Footing, body: MeasuredBody, parameters: Parameters, t_ns: int
 ) -> Volume:
-    """The record of one body: net, cut and fill with the chords' bias and the fold near the base
-    taken out.
+    """The record of one body: net, cut and fill with the bias of chords and smoothing and the fold
+    near the base taken out.
     """
     tin, base, part, mask = survey.tin, footing.base, body.part, body.part > 0
     solid, budget, near = body.solid, body.budget, body.near
     normal = survey.points.normal[tin.source]
     above, below = cut_and_fill_chords(tin, normal, base, part)
     folded = 0.0 if near is None else near.removed_m3(solid.cut_m3, solid.fill_m3)
+    cut_smoothed, fill_smoothed = _smoothing_of_parts(survey, solid, budget.smoothing_m3)
     v = parameters.volume
     return Volume(
-        volume_m3=solid.net_m3 - above - below,
+        volume_m3=solid.net_m3 - above - below - budget.smoothing_m3,
         sigma_m3=budget.sigma,
         confidence=v.confidence,
         coverage_factor=NormalDist().inv_cdf(0.5 + v.confidence / 2),
-        cut_m3=solid.cut_m3 - folded - above,
-        fill_m3=solid.fill_m3 - folded + below,
+        cut_m3=solid.cut_m3 - folded - above - cut_smoothed,
+        fill_m3=solid.fill_m3 - folded + below - fill_smoothed,
         area_m2=solid.area_m2,
         base=base_name(parameters),
         base_same_survey=v.base == "ground",
@@ -167,7 +168,26 @@ def volume_of(
         second_order_m3=budget.second.shift_m3,
         second_order_matters=budget.second.matters,
         chord_m3=above + below,
+        smoothing_m3=budget.smoothing_m3,
     )
+
+
+def _smoothing_of_parts(
+    survey: SurveyedSurface, solid: Prismoids, net_m3: float
+) -> tuple[float, float]:
+    """What smoothing made cut and fill too large by, whose difference is ``net_m3``: of the smaller
+    one through the surface alone; the other has the rest, with what the base has of it.
+    """
+    patches, at = survey.patches, survey.tin.source
+    if not len(patches.own_residual):
+        return 0.0, 0.0
+    row = survey.sources.geometry.row[at]
+    moved = patches.normal[row] * patches.own_residual[row, None]
+    if solid.cut_m3 >= solid.fill_m3:
+        fill = -float((solid.gradient_fill * moved).sum())
+        return net_m3 + fill, fill
+    cut = -float((solid.gradient_cut * moved).sum())
+    return cut, cut - net_m3
 
 
 def _near_base(survey: SurveyedSurface, footing: Footing, part: F64) -> Fold | None:

@@ -28,6 +28,7 @@ def surface(update):
         nav, own = slice(p.nav_start[j], p.nav_start[j + 1]), q.patch == key
         rows += [p.nav_bin[nav].tobytes(), p.M_nav[nav].tobytes()]
         rows += [p.nav_residual[nav].tobytes(), p.beam_residual[j].tobytes()]
+        rows += [p.own_residual[j].tobytes()]
         rows += [
             getattr(q, name)[own].tobytes()
             for name in ("r_map", "normal", "variance", "C_tangent", "t_ns", "local")

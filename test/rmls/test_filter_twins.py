@@ -236,6 +236,10 @@ def test_residuals_of_bins_and_of_beams_within_them(fitted):
             own = s.ring[inliers] == beam
             mean = np.average(left[own], weights=weights[own]) if own.any() else 0.0
             assert p.beam_residual[j, beam] == pytest.approx(mean, abs=1e-7)
+        voxel = int(np.flatnonzero(s.keys[: s.used] == p.key[j])[0])
+        own = inliers // s.cap == voxel
+        mean = above[own].mean() if own.any() else 0.0  # those of one voxel weigh alike
+        assert p.own_residual[j] == pytest.approx(mean, abs=1e-7)
 
 
 def test_common_shift_moves_only_the_constant_term(fitted):

@@ -76,6 +76,7 @@ def test_merge(look_every, pending, monkeypatch):
     sent = last.M_nav[: last.nav_start[1]]
     assert found.M_nav == pytest.approx(sent, abs=2**-16 * float(np.abs(sent).max()))
     assert np.isnan(found.nav_residual).all() and np.isnan(found.beam_residual).all()  # not sent
+    assert found.own_residual.tolist() == [0.0]
 
 
 def test_residuals_stay_with_their_patches():
@@ -84,6 +85,7 @@ def test_residuals_stay_with_their_patches():
     own = {
         "nav_residual": np.arange(len(p.nav_bin), dtype=np.float32),
         "beam_residual": np.arange(16 * m, dtype=np.float32).reshape(m, 16),
+        "own_residual": np.arange(m, dtype=np.float32),
     }
     whole = dataclasses.replace(whole, patches=dataclasses.replace(p, **own))
     store = PatchStore()
@@ -96,6 +98,7 @@ def test_residuals_stay_with_their_patches():
     left = np.delete(np.arange(m), [3, 4])
     assert store.patches.nav_residual.tolist() == own["nav_residual"][left].tolist()
     assert (store.patches.beam_residual == own["beam_residual"][left]).all()
+    assert (store.patches.own_residual == own["own_residual"][left]).all()
 
 
 def part_of(patches):

@@ -32,12 +32,13 @@ def update(p, seed=0):
 
 
 def with_residuals(sent, seed=1):
-    """The update with residuals of its bins and beams."""
+    """The update with residuals of its bins, beams and voxels."""
     rng, p = np.random.default_rng(seed), sent.patches
     beams = (p.M_cal.shape[2] - len(CAL_COLUMNS)) // 2
     residuals = {
         "nav_residual": rng.normal(size=len(p.nav_bin)).astype(np.float32),
         "beam_residual": rng.normal(size=(len(p), beams)).astype(np.float32),
+        "own_residual": rng.normal(size=len(p)).astype(np.float32),
     }
     return dataclasses.replace(sent, patches=dataclasses.replace(p, **residuals))
 

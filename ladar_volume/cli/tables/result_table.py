@@ -72,6 +72,13 @@ def _add_result_rows(head: Table, result: Mapping[str, Any]) -> None:
             f"({result['volume_m3'] + chords:.3f} m³ with them)"
         )
         head.add_row("chords", words)
+    smoothed = result["smoothing_m3"]
+    if abs(smoothed) >= 5e-4:
+        words = (
+            f"{smoothed:+.3f} m³ that the filter's fits round off, as at the toe, taken out "
+            f"({result['volume_m3'] + smoothed:.3f} m³ with it)"
+        )
+        head.add_row("smoothing", words)
 
 
 def _add_body_rows(head: Table, result: Mapping[str, Any]) -> None:

@@ -60,7 +60,7 @@ REACH = 3.0
 #: Meshes that are tried: times the spacing of the sparsest tenth of the points.
 COARSER = (1.0, 2.0**0.5, 2.0)
 #: Lines of the survey's budget that the returns give a body by themselves.
-OF_RETURNS = ("noise", "noise_tangential", "base_surface")
+OF_RETURNS = ("noise", "noise_tangential", "smoothing", "base_surface")
 
 
 @dataclass(frozen=True)

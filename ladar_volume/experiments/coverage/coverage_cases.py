@@ -217,6 +217,7 @@ def closed_row(found: ClosedBox, true_m3: float) -> Row:
 #: Lines of the budget that are part of another one's source.
 PARTS = {
     "noise_tangential": "noise",
+    "smoothing": "noise",
     "boresight_second_order": "boresight",
     "attitude_second_order": "attitude",
 }

@@ -59,7 +59,7 @@ from ladar_volume.volume.measured_body import (
 #: Height of what grows, over its scatter.
 COVER = 4.0
 #: Lines of the budget that returns do not share.
-OWN = ("noise", "noise_tangential", "base_surface")
+OWN = ("noise", "noise_tangential", "smoothing", "base_surface")
 #: Share of the points that a median screen may change: more are no outliers.
 MOST_SCREENED = 0.05
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
