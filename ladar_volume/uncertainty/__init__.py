@@ -5,6 +5,7 @@ Public:
 - ``patch_table``: the current filtered surface, patch by patch, with what patches share.
 - ``propagation``, ``load_kernels``: sums over points, pairs of patches and time bins.
 - ``navigation_sum``: errors correlated in time, added up in one pass.
+- ``smoothing``: what the fits smoothed away, and its line.
 - ``volume_budget``, ``epoch_budget``: variances by source of one volume, and of a change.
 - ``second_order``: where the first order is not enough.
 - ``roughness``, ``ground_field``: the ground between its points as a random field.

@@ -272,16 +272,9 @@ def epoch_budget(
     apart = total - sum(calibration.values()) + sum(alone.values())
     apart += boresight_second_order(one, two, C_new, C_old, False).line_m6 - second.line_m6
     naive = math.hypot(new.naive_sigma(gradient_new), previous.naive_sigma(gradient_previous))
-    bounds = math.sqrt(min(tau)), math.sqrt(max(tau))
-    return EpochBudget(
-        lines,
-        within,
-        all_second,
-        bounds,
-        naive,
-        math.sqrt(max(apart, 0.0)),
-        one.smoothing.shift_m3 + two.smoothing.shift_m3,
-    )
+    bounds, alone_m3 = (math.sqrt(min(tau)), math.sqrt(max(tau))), math.sqrt(max(apart, 0.0))
+    smoothing_m3 = one.smoothing.shift_m3 + two.smoothing.shift_m3
+    return EpochBudget(lines, within, all_second, bounds, naive, alone_m3, smoothing_m3)
 
 
 def lines_of_epochs(

@@ -43,13 +43,11 @@ from ladar_volume.uncertainty.second_order import (
     curvatures,
     second_order,
 )
+from ladar_volume.uncertainty.smoothing import Smoothing, smoothing_of
 
 #: Share of their variance that independent errors of two samples keep, on average, where one is
 #: interpolated between them.
 BETWEEN = 2.0 / 3.0
-#: Standard deviation of what :func:`smoothed` leaves of the smoothing, over what it finds: of the
-#: rounded toe of simulated piles it finds three quarters.
-LEFT_OF_SMOOTHING = 1.0 / 3.0
 #: Rows of a symmetric matrix that are computed at a time.
 ROWS = 128
 
@@ -60,8 +58,8 @@ class Budget:
     all results · sigma_tau_range : m³, with all correlation times divided by 3 and multiplied by 3
     · sigma_naive : m³, as if every point erred alone · within : m⁶, marginals of the line
     ``calibration`` where its sources are correlated · second : the second order of boresight and
-    attitude, each a line by its mean square · smoothing_m3 : what the result is too large by, see
-    :func:`smoothed`, with a line of its own
+    attitude, each a line by its mean square · smoothing_m3 : what the result is too large by for
+    that, with a line of its own
     """
 
     lines: dict[str, float]
@@ -76,30 +74,6 @@ class Budget:
     def sigma(self) -> float:
         """Standard deviation of the volume, m³."""
         return math.sqrt(sum(self.lines.values()))
-
-
-@dataclass(frozen=True)
-class Smoothing:
-    """shift_m3 : what a result is too large by · variance_m6 : of that"""
-
-    shift_m3: float
-    variance_m6: float
-
-
-def smoothed(q: F64, patches: PatchTable) -> Smoothing:
-    """What a result with loads q (m, p + 2) is too large by, since each patch is fitted to its
-    voxel and the surroundings: the returns of the voxel itself lie off it, by ``own_residual`` on
-    average (twicing: Tukey, *Exploratory Data Analysis*, 1977, ch. 16).
-
-    The residuals of a patch's fit are not correlated with it, and those of neighbours cancel where
-    nothing is smoothed away, so that the squares of all single contributions are more than the
-    noise of their sum.
-    """
-    if not len(patches.own_residual):
-        return Smoothing(0.0, 0.0)
-    by_patch = q[:, 0] * patches.own_residual
-    shift = -float(by_patch.sum())
-    return Smoothing(shift, float(by_patch @ by_patch) + (LEFT_OF_SMOOTHING * shift) ** 2)
 
 
 @dataclass(frozen=True)
@@ -185,15 +159,8 @@ class Sources:
             for f in (1.0 / 3.0, 3.0)
         )
         within = calibration_marginals(s.J_cal, self.C_cal) if "calibration" in lines else {}
-        return Budget(
-            lines,
-            s.C_results,
-            (min(low, high), max(low, high)),
-            naive_m3,
-            within,
-            second,
-            s.smoothing.shift_m3,
-        )
+        tau, smoothing_m3 = (min(low, high), max(low, high)), s.smoothing.shift_m3
+        return Budget(lines, s.C_results, tau, naive_m3, within, second, smoothing_m3)
 
     def sensitivities(self, gradient: F64) -> Sensitivities:
         """What each source does to the first of k results with gradients (n, k, 3) per point;
@@ -203,8 +170,9 @@ class Sources:
             patch_loads(gradient, self.patches, self.geometry),
             tangential_variance(gradient[:, 0], self.points),
         )
-        del gradient  # the largest of all that is held meanwhile
         first = np.ascontiguousarray(q[:, :, 0])
+        smoothing = smoothing_of(gradient[:, 0], first, self.patches, self.geometry.row)
+        del gradient  # the largest of all that is held meanwhile
         H = curvatures(first, self.patches, self.navigation, self.time_bins)
         J_nav, bins = navigation_sensitivity(first, self.patches, self.time_bins)
         return Sensitivities(
@@ -216,7 +184,7 @@ class Sources:
             navigation_loads(
                 J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s
             ),
-            smoothed(first, self.patches),
+            smoothing,
         )
 
     def naive_sigma(self, gradient: F64) -> float:

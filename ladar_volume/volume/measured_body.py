@@ -21,6 +21,7 @@ from ladar_volume.model.records import F64, FilteredPoints, PatchTable, Plane, T
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.ground_field import Roughness
+from ladar_volume.uncertainty.smoothing import own_shifts
 from ladar_volume.uncertainty.volume_budget import Budget, Sources
 from ladar_volume.volume.base import area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.centroid import centroid
@@ -178,11 +179,7 @@ def _smoothing_of_parts(
     """What smoothing made cut and fill too large by, whose difference is ``net_m3``: of the smaller
     one through the surface alone; the other has the rest, with what the base has of it.
     """
-    patches, at = survey.patches, survey.tin.source
-    if not len(patches.own_residual):
-        return 0.0, 0.0
-    row = survey.sources.geometry.row[at]
-    moved = patches.normal[row] * patches.own_residual[row, None]
+    moved = own_shifts(survey.patches, survey.sources.geometry.row[survey.tin.source])
     if solid.cut_m3 >= solid.fill_m3:
         fill = -float((solid.gradient_fill * moved).sum())
         return net_m3 + fill, fill

@@ -1,14 +1,17 @@
 """What the filter's fits smooth away is taken out of the volume, from cut and from fill."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mapped_sheet import mapped, platform
 
+from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.measured_body import solid_of
 from ladar_volume.volume.volume_loads import result_gradients
 
 HALF, SLOPE, LIFT = 4.0, 0.3, 2.0
@@ -17,11 +20,11 @@ SQUARE = [-HALF, -HALF, HALF, -HALF, HALF, HALF, -HALF, HALF]
 EXACT = 4.0 * HALF**2 * (LIFT + SLOPE * HALF / 2.0)
 
 
-def estimator(up, seed, count=20_000):
+def estimator(up, seed, count=20_000, slope=SLOPE, lift=LIFT):
     """A trough with a sharp bottom (up = 1), or its mirror image below the level (-1)."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-HALF - 1.0, HALF + 1.0, (count, 2))
-    z = LIFT + SLOPE * np.abs(xy[:, 0] - 0.1) + 0.01 * rng.standard_normal(count)
+    z = lift + slope * np.abs(xy[:, 0] - 0.1) + 0.01 * rng.standard_normal(count)
     parameters = Parameters.read(
         {
             "filter": {"radius_m": 0.5},
@@ -43,12 +46,12 @@ def estimator(up, seed, count=20_000):
 
 def without(e):
     """The same surface, with nothing known of what was smoothed away."""
+    nothing = SimpleNamespace(points=e.store.points, patches=e.store.patches)
+    none = np.zeros_like(nothing.patches.own_residual)
+    nothing.patches = dataclasses.replace(nothing.patches, own_residual=none)
     other = VolumeEstimator(e.parameters)
     other.add_platform(platform())
-    other.store._points = e.store.points
-    patches = e.store.patches
-    none = np.zeros_like(patches.own_residual)
-    other.store._patches = dataclasses.replace(patches, own_residual=none)
+    other.store = nothing
     return other
 
 
@@ -75,13 +78,33 @@ def test_a_sharp_trough_is_no_longer_rounded(up):
 def test_it_is_the_gradient_times_the_residuals_point_by_point():
     e = estimator(1.0, 9, 15_000)
     v = e.estimate().volume
-    survey, footing, body = e._main
+    survey, footing, _ = e.base(e.survey())
+    solid = solid_of(survey.tin, footing.base, footing.parts[0], e.parameters)
     gradient = result_gradients(
-        survey.tin, footing.base, body.solid, len(survey.points), survey.surface
+        survey.tin, footing.base, solid, len(survey.points), survey.surface
     )[:, 0]
     patches, total = survey.patches, 0.0
     of = {int(key): j for j, key in enumerate(patches.key)}
     for i in np.flatnonzero(gradient.any(axis=1)):
         j = of[int(survey.points.patch[i])]
         total += float(gradient[i] @ patches.normal[j]) * float(patches.own_residual[j])
-    assert v.smoothing_m3 == pytest.approx(-total, rel=1e-9) and abs(total) > 0.01
+    assert v.smoothing_m3 == pytest.approx(-total, rel=1e-6) and abs(total) > 0.01
+
+
+def test_a_difference_of_two_surveys_has_that_of_both():
+    """Sharp troughs that open upwards, one above the other: the upper one loses what the lower one
+    gains.
+    """
+    new, previous = estimator(1.0, 3), estimator(1.0, 4, slope=0.3, lift=1.0)
+    v = epoch_difference(new.epoch(), previous.epoch())[0].volume
+    assert v.volume_m3 == pytest.approx(v.cut_m3 - v.fill_m3, abs=1e-9) and v.fill_m3 < 1e-9
+    alone = [
+        epoch_difference(a.epoch(), b.epoch())[0].volume
+        for a, b in ((new, without(previous)), (without(new), previous))
+    ]
+    assert alone[0].smoothing_m3 > 0.01 and alone[1].smoothing_m3 < -0.01
+    assert v.smoothing_m3 == pytest.approx(sum(a.smoothing_m3 for a in alone), rel=1e-9)
+    none = epoch_difference(without(new).epoch(), without(previous).epoch())[0].volume
+    assert v.volume_m3 == pytest.approx(none.volume_m3 - v.smoothing_m3, abs=1e-9)
+    lines = [v.budget_m6[name] for name in ("smoothing", "smoothing_previous")]
+    assert lines == [alone[0].budget_m6["smoothing"], alone[1].budget_m6["smoothing_previous"]]

@@ -36,7 +36,7 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
 
 
 def _add_result_rows(head: Table, result: Mapping[str, Any]) -> None:
-    """Volume, interval, cut and fill, and what was corrected."""
+    """Volume, interval, cut and fill."""
     low, high = result["interval_m3"]
     share = (
         100.0 * result["sigma_m3"] / abs(result["volume_m3"])
@@ -58,6 +58,11 @@ def _add_result_rows(head: Table, result: Mapping[str, Any]) -> None:
         "cut, fill",
         f"{result['cut_m3']:.3f} m³, {result['fill_m3']:.3f} m³ over {result['area_m2']:.1f} m²",
     )
+    _add_corrections(head, result)
+
+
+def _add_corrections(head: Table, result: Mapping[str, Any]) -> None:
+    """What was taken out of volume, cut and fill."""
     fix = result["correction"]
     if fix["name"]:
         words = (
