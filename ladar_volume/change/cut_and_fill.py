@@ -29,6 +29,7 @@ from ladar_volume.uncertainty.epoch_budget import (
     calibration_cross,
     epoch_budget,
 )
+from ladar_volume.uncertainty.smoothing import cut_shift
 from ladar_volume.uncertainty.vertex_noise import height_pairs, height_sums, rings_for, vertex_rows
 from ladar_volume.volume.near_base import (
     NearBase,
@@ -88,9 +89,11 @@ def cut_and_fill(
         variance = np.maximum(variance, sum(budget.lines.get(name, 0.0) for name in NOISE))
     cut, fill = np.sqrt(np.maximum(variance, 0.0)).tolist()
     area = 0.0 if near is None else near.near_area_m2
+    cut_m3, fill_m3 = found.cut_m3 - folded, found.fill_m3 - folded
+    smoothed = cut_shift(cut_m3, fill_m3, smoothed, budget.smoothing_m3)
     return CutAndFill(
-        found.cut_m3 - folded - smoothed,
-        found.fill_m3 - folded - (smoothed - budget.smoothing_m3),
+        cut_m3 - smoothed,
+        fill_m3 - (smoothed - budget.smoothing_m3),
         cut,
         fill,
         folded,

@@ -50,3 +50,10 @@ def smoothing_of(gradient: F64, q: F64, patches: PatchTable, row: I64) -> Smooth
     shift = -float((gradient * own_shifts(patches, row)).sum())
     by_patch = q[:, 0] * patches.own_residual
     return Smoothing(shift, float(by_patch @ by_patch) + (LEFT * shift) ** 2)
+
+
+def cut_shift(cut_m3: float, fill_m3: float, found_m3: float, net_m3: float) -> float:
+    """What cut is too large by, m³: as ``found_m3``, no more than leaves cut and fill at 0 or more,
+    where their difference is too large by ``net_m3``.
+    """
+    return min(found_m3, cut_m3, fill_m3 + net_m3)

@@ -21,7 +21,7 @@ from ladar_volume.model.records import F64, FilteredPoints, PatchTable, Plane, T
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.ground_field import Roughness
-from ladar_volume.uncertainty.smoothing import own_shifts
+from ladar_volume.uncertainty.smoothing import cut_shift, own_shifts
 from ladar_volume.uncertainty.volume_budget import Budget, Sources
 from ladar_volume.volume.base import area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.centroid import centroid
@@ -143,15 +143,16 @@ def volume_of(
     normal = survey.points.normal[tin.source]
     above, below = cut_and_fill_chords(tin, normal, base, part)
     folded = 0.0 if near is None else near.removed_m3(solid.cut_m3, solid.fill_m3)
-    cut_smoothed, fill_smoothed = _smoothing_of_parts(survey, solid, budget.smoothing_m3)
+    cut, fill = solid.cut_m3 - folded - above, solid.fill_m3 - folded + below
+    smoothed = cut_shift(cut, fill, _smoothing_of_cut(survey, body), budget.smoothing_m3)
     v = parameters.volume
     return Volume(
         volume_m3=solid.net_m3 - above - below - budget.smoothing_m3,
         sigma_m3=budget.sigma,
         confidence=v.confidence,
         coverage_factor=NormalDist().inv_cdf(0.5 + v.confidence / 2),
-        cut_m3=solid.cut_m3 - folded - above - cut_smoothed,
-        fill_m3=solid.fill_m3 - folded + below - fill_smoothed,
+        cut_m3=cut - smoothed,
+        fill_m3=fill - (smoothed - budget.smoothing_m3),
         area_m2=solid.area_m2,
         base=base_name(parameters),
         base_same_survey=v.base == "ground",
@@ -173,18 +174,15 @@ def volume_of(
     )
 
 
-def _smoothing_of_parts(
-    survey: SurveyedSurface, solid: Prismoids, net_m3: float
-) -> tuple[float, float]:
-    """What smoothing made cut and fill too large by, whose difference is ``net_m3``: of the smaller
-    one through the surface alone; the other has the rest, with what the base has of it.
+def _smoothing_of_cut(survey: SurveyedSurface, body: MeasuredBody) -> float:
+    """What smoothing made cut too large by, m³: of the smaller one of cut and fill through the
+    surface alone; the other has what is left of the net volume's, with what the base has of it.
     """
+    solid, net_m3 = body.solid, body.budget.smoothing_m3
     moved = own_shifts(survey.patches, survey.sources.geometry.row[survey.tin.source])
     if solid.cut_m3 >= solid.fill_m3:
-        fill = -float((solid.gradient_fill * moved).sum())
-        return net_m3 + fill, fill
-    cut = -float((solid.gradient_cut * moved).sum())
-    return cut, cut - net_m3
+        return net_m3 - float((solid.gradient_fill * moved).sum())
+    return -float((solid.gradient_cut * moved).sum())
 
 
 def _near_base(survey: SurveyedSurface, footing: Footing, part: F64) -> Fold | None:

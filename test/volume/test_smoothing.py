@@ -10,6 +10,7 @@ from mapped_sheet import mapped, platform
 from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.rmls.surface_filter import SurfaceFilter
+from ladar_volume.uncertainty.smoothing import cut_shift
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.measured_body import solid_of
 from ladar_volume.volume.volume_loads import result_gradients
@@ -108,3 +109,21 @@ def test_a_difference_of_two_surveys_has_that_of_both():
     assert v.volume_m3 == pytest.approx(none.volume_m3 - v.smoothing_m3, abs=1e-9)
     lines = [v.budget_m6[name] for name in ("smoothing", "smoothing_previous")]
     assert lines == [alone[0].budget_m6["smoothing"], alone[1].budget_m6["smoothing_previous"]]
+
+
+@pytest.mark.parametrize(
+    ("cut", "fill", "found", "net", "is_"),
+    [
+        (10.0, 5.0, 0.3, 0.1, 0.3),
+        (10.0, 0.1, 0.5, 0.1, 0.2),  # fill would be -0.3
+        (10.0, 0.0, 0.3, 0.1, 0.1),
+        (0.2, 9.0, 0.5, 0.1, 0.2),  # cut would be -0.3
+        (0.0, 9.0, -0.1, -0.1, -0.1),
+    ],
+)
+def test_cut_and_fill_stay_at_zero_or_more(cut, fill, found, net, is_):
+    s = cut_shift(cut, fill, found, net)
+    assert s == pytest.approx(is_, abs=1e-12)
+    after = cut - s, fill - (s - net)
+    assert min(after) > -1e-12
+    assert after[0] - after[1] == pytest.approx(cut - fill - net, abs=1e-12)
