@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import sys
 import threading
@@ -40,6 +41,9 @@ class Spinner:
             threading.Event(),
         )
         self._executor.add_node(node)
+        # rclpy asks where a line for the console comes from: the first time, inspect looks up the
+        # file of every module that is loaded, which takes seconds while other threads work
+        inspect.getframeinfo(inspect.stack(0)[0].frame)
         self._thread = threading.Thread(
             target=self._spin, name=f"spin {node.get_name()}", daemon=True
         )
