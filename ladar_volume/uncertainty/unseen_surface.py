@@ -7,18 +7,22 @@ such as the toe and the crest of a pile, which are seldom and whose second diffe
 the distance, have this exponent. Its kriging is the smooth continuation of the slopes at the rim.
 The factor c is the survey's own: the same gap is laid over places around it that were seen, the
 volume there is predicted from the rim alone, and the mean of ``error² / predicted variance`` is c.
+
+In the shadow of an edge (:mod:`~ladar_volume.uncertainty.sight_lines`) the surface is not smooth:
+there it lies anywhere between the line of sight and the steepest slope of loose material.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.uncertainty.sight_lines import shadow_heights
 
 #: Places of a gap where its surface is predicted, and points that predict it, at most.
 CELLS, SEEN = 80, 110
@@ -31,6 +35,11 @@ TRIALS, AWAY, SIZES, ENOUGH = 12, 2.5, (1.0, 0.7, 0.5, 0.35), 6
 #: Standard deviation of what the smooth surface adds to the chords, over itself, before the gap was
 #: laid over seen places, and how many of these it counts for.
 DOUBTED, BEFORE = 0.5, 4.0
+#: Standard deviation of where a surface falls that is level on both sides of a gap, over the area
+#: between smooth surface and chords, above them and below. As far as from the middle to either end
+#: for a step of 45 degrees in a gap 1.75 times as wide as it is high: in the shadow of an edge,
+#: which is where most such gaps come from, the surface falls at once.
+FALLS = 3.5
 #: Slope that loose material keeps, at most; a surface that is seen to be steeper has no such bound.
 REPOSE = math.tan(math.radians(45.0))
 #: A place of a gap laid over what was seen has a point within so many spacings.
@@ -39,19 +48,24 @@ FILLED = 2.0
 
 @dataclass(frozen=True)
 class ObservedPoints:
-    """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, and their usual
-    spacing, m.
+    """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, their usual spacing, m,
+    and mean unit vectors (n, 3) to where they were seen from; of no length where these are not
+    known.
     """
 
     r: F64
     variance: F64
     spacing_m: float
     tree: cKDTree
+    view: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
-    def of(cls, r: F64, variance: F64, spacing_m: float) -> ObservedPoints:
+    def of(
+        cls, r: F64, variance: F64, spacing_m: float, view: F64 | None = None
+    ) -> ObservedPoints:
         """The points with a tree to find them."""
-        return cls(r, variance, spacing_m, cKDTree(r[:, :2]))
+        known = np.zeros((0, 3)) if view is None else view
+        return cls(r, variance, spacing_m, cKDTree(r[:, :2]), known)
 
 
 @dataclass(frozen=True)
@@ -196,6 +210,15 @@ def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
     return np.clip(z, low, high), float(weight @ (high - low))
 
 
+def fall_variance(seen: ObservedPoints, rim: I64, xy: F64, weight: F64, z: F64) -> float:
+    """Variance, m⁶, for not knowing where in a gap its surface falls: a smooth surface of heights
+    z (k,) m lies above the chords on one side and below them on the other, and the volumes cancel.
+    """
+    apart = weight * (z - predict_heights(seen, rim, xy, 1))
+    both, net = float(np.abs(apart).sum()), float(apart.sum())
+    return FALLS**2 * max(both**2 - net**2, 0.0) if math.isfinite(both) else 0.0
+
+
 def trial_places(seen: ObservedPoints, xy: F64, weight: F64) -> F64:
     """Shifts (k, 2) m of a gap, in a spiral about it, evenly over the disc around."""
     size = diameter(float(weight.sum()))
@@ -246,35 +269,72 @@ def scale_from_trials(trials: list[GapTrial], shape_m2: float) -> tuple[float, f
     return c, (before * DOUBTED**2 + error) / total if total > 0.0 else 0.0
 
 
+@dataclass(frozen=True)
+class Shadow:
+    """Of a gap's places: which are in shadow (k,), the middle (k,) m of the heights that their
+    surface may have, and the volume between these bounds, m³.
+    """
+
+    dark: Bool
+    middle: F64
+    room_m3: float
+
+
+def shadow_of(seen: ObservedPoints, rim: I64, xy: F64, weight: F64) -> Shadow:
+    """The part of a gap of places xy (k, 2) m with areas weight (k,) m² that is in shadow: below
+    the line of sight, and above the rim's lowest point and the steepest slopes of loose material,
+    where the rim itself keeps to these.
+    """
+    none = np.zeros(len(xy), np.bool_)
+    if not len(seen.view) or not len(rim):
+        return Shadow(none, np.zeros(len(xy)), 0.0)
+    r = seen.r[rim]
+    high = shadow_heights(r, seen.view[rim], xy, seen.spacing_m)
+    dark = np.isfinite(high)
+    steep, _ = within_repose(r, xy, weight, np.full(len(xy), -math.inf))
+    low = np.minimum(np.maximum(steep, r[:, 2].min(initial=math.inf)), high)
+    middle = np.where(dark, 0.5 * (low + high), 0.0)
+    return Shadow(dark, middle, float(weight[dark] @ (high - low)[dark]))
+
+
+def trials_of(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> list[GapTrial]:
+    """The gap laid over seen places, smaller where there are too few for it."""
+    trials: list[GapTrial] = []
+    centre = (weight @ xy) / weight.sum()
+    for size in SIZES:
+        trials += try_gap(seen, centre + size * (xy - centre), size**2 * weight, size * apart)
+        if len(trials) >= ENOUGH:
+            break
+    return trials
+
+
 def unseen_surface(
-    seen: ObservedPoints, xy: F64, weight: F64, apart: F64, chord_m3: float
+    seen: ObservedPoints, xy: F64, weight: F64, apart: F64, chord: F64
 ) -> UnseenVolume | None:
     """The surface of a gap of places xy (k, 2) m with areas weight (k,) m², and how well it is
     known; None where nothing can be told of it.
 
-    apart : (k,) m, distance from each place within which no point was seen · chord_m3 : integral
-    under the triangles that span it. Where the slopes at the rim go on until they meet, the surface
-    lies a third further from the chords than the smooth one (exact for a cone in a round gap);
-    where they end at the rim it lies as low as the chords. So half of the difference between smooth
-    surface and chords counts as a standard deviation, less where seen places tell otherwise.
+    apart : (k,) m, distance from each place within which no point was seen · chord : (k,) m,
+    heights of the triangles that span it. Where the slopes at the rim go on until they meet, the
+    surface lies a third further from the chords than the smooth one (exact for a cone in a round
+    gap); where they end at the rim it lies as low as the chords. So half of the difference between
+    smooth surface and chords counts as a standard deviation, less where seen places tell otherwise.
     """
     rim = rim_points(seen, xy, weight, np.zeros(len(xy)))
-    found = predict_integral(seen, rim, xy, weight)
+    shade = shadow_of(seen, rim, xy, weight)
+    lit = np.where(shade.dark, 0.0, weight)
+    found = predict_integral(seen, rim, xy, lit)
     if found is None:
         return None
-    z, room = within_repose(seen.r[rim], xy, weight, predict_heights(seen, rim, xy))
-    smooth_m3 = float(weight @ z)
-    trials: list[GapTrial] = []
-    area = float(weight.sum())
-    centre = (weight @ xy) / area
-    for size in SIZES:  # a smaller gap fits where the gap itself does not
-        trials += try_gap(seen, centre + size * (xy - centre), size**2 * weight, size * apart)
-        if len(trials) >= ENOUGH:
-            break
-    factor, share = scale_from_trials(trials, ((smooth_m3 - chord_m3) / area) ** 2)
-    variance = factor * found.unit_m6 + found.noise_m6 + share * (smooth_m3 - chord_m3) ** 2
+    z, room = within_repose(seen.r[rim], xy, lit, predict_heights(seen, rim, xy))
+    bulge_m3, area = float(lit @ (z - chord)), float(weight.sum())
+    trials = trials_of(seen, xy, weight, apart) if lit.any() else []
+    factor, share = scale_from_trials(trials, (bulge_m3 / area) ** 2)
+    variance = factor * found.unit_m6 + found.noise_m6 + share * bulge_m3**2
+    variance += fall_variance(seen, rim, xy, lit, z)
     if math.isfinite(room):
         variance = min(variance, room**2 / 12.0) if trials else room**2 / 12.0
-    elif not trials:
+    elif not trials and lit.any():
         return None
-    return UnseenVolume(smooth_m3, variance, len(trials))
+    volume_m3 = float(weight @ np.where(shade.dark, shade.middle, z))
+    return UnseenVolume(volume_m3, variance + shade.room_m3**2 / 12.0, len(trials))

@@ -18,6 +18,7 @@ from ladar_volume.uncertainty.unseen_surface import (
     ObservedPoints,
     Prediction,
     diameter,
+    fall_variance,
     predict_heights,
     predict_integral,
     rim_points,
@@ -84,8 +85,9 @@ def test_a_gap_in_other_units_is_the_same_gap(s):
     apart = np.full(len(place), 0.2)
     one = seen_around()
     two = ObservedPoints.of(s * one.r, s * s * one.variance, s * one.spacing_m)
-    a = unseen_surface(one, place, weight, apart, 3.0)
-    b = unseen_surface(two, s * place, s * s * weight, s * apart, s**3 * 3.0)
+    chord = np.full(len(place), 0.75)
+    a = unseen_surface(one, place, weight, apart, chord)
+    b = unseen_surface(two, s * place, s * s * weight, s * apart, s * chord)
     assert a.trials == b.trials > 0
     assert b.volume_m3 == pytest.approx(s**3 * a.volume_m3)
     assert b.variance_m6 == pytest.approx(s**6 * a.variance_m6, rel=1e-6)
@@ -193,7 +195,8 @@ def told(monkeypatch):
     def of(height, chord_m3, *given):
         calls.clear(), trials.clear(), trials.extend(given)
         seen = seen_around(height=height)
-        return unseen_surface(seen, place, weight, np.full(len(place), 0.2), chord_m3)
+        chord = np.full(len(place), chord_m3 / 4.0)
+        return unseen_surface(seen, place, weight, np.full(len(place), 0.2), chord)
 
     return of, calls
 
@@ -247,6 +250,32 @@ def test_smaller_gaps_of_the_same_shape_are_laid_until_there_are_enough(told):
     assert np.diff([len(c[0]) for c in calls]).tolist() == [0, 0, 0] and CELLS > 36
 
 
+def test_where_a_surface_falls_between_two_levels_is_not_known():
+    """A step of 45 degrees that begins at either end of a long gap: half of the difference is the
+    standard deviation that the smooth surface's differences from the chords tell.
+    """
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(-7.0, 7.0, (4000, 2))
+    xy = xy[(np.abs(xy[:, 0]) > 1.0) | (np.abs(xy[:, 1]) > 6.0)]
+    place, weight = gap(2.0, 24)
+    place, weight = place * [1.0, 6.0], 6.0 * weight
+
+    def told(height):
+        r = np.column_stack([xy, height(xy[:, 0])])
+        seen = ObservedPoints.of(r, np.full(len(r), 1e-8), 0.2)
+        rim = rim_points(seen, place, weight, np.zeros(len(place)))
+        z = predict_heights(seen, rim, place)
+        return fall_variance(seen, rim, place, weight, z) ** 0.5
+
+    for high in (0.9, 1.15):
+        first, last = (np.clip(place[:, 0] - at, 0.0, high) @ weight for at in (-1.0, 1.0 - high))
+        found = told(lambda x, high=high: np.where(x > 0.0, high, 0.0))
+        assert 0.75 < found / (0.5 * (first - last)) < 1.35
+    # a fold lies on one side of its chords, a plane on none
+    assert told(lambda x: 0.3 * x + 2.0) < 1e-6
+    assert told(np.abs) < 0.3 * found
+
+
 def test_too_few_points_or_points_on_a_line_tell_nothing():
     place, weight = gap()
     apart = np.zeros(len(place))
@@ -259,4 +288,4 @@ def test_too_few_points_or_points_on_a_line_tell_nothing():
     line = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
     seen = ObservedPoints.of(line, np.ones(8), 1.0)
     assert predict_integral(seen, np.arange(8), place, weight) is None
-    assert unseen_surface(seen, place + 900.0, weight, apart, 0.0) is None
+    assert unseen_surface(seen, place + 900.0, weight, apart, apart) is None

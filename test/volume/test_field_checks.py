@@ -123,7 +123,11 @@ def test_the_surface_of_a_gap_moves_with_its_surroundings():
     def found(height, chord=0.0):
         r = np.column_stack([xy, height(xy)])
         return unseen_surface(
-            ObservedPoints.of(r, np.full(len(r), 1e-6), 0.2), place, weight, apart, chord
+            ObservedPoints.of(r, np.full(len(r), 1e-6), 0.2),
+            place,
+            weight,
+            apart,
+            np.full(64, chord / 4.0),
         )
 
     plane = found(lambda p: 1.0 + 0.2 * p[:, 0] - 0.1 * p[:, 1], 4.0)

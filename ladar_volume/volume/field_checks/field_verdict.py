@@ -25,6 +25,7 @@ from ladar_volume.uncertainty.pass_agreement import (
     pass_agreement,
     patch_scatter,
 )
+from ladar_volume.uncertainty.sight_lines import patch_views
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
 from ladar_volume.volume.field_checks.base_readings import (
@@ -109,7 +110,8 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     over = np.where(gaps.triangle >= 0, part, 0.0)
     # slopes at the rim of a gap tell of its surface by kriging, not as chords
     above, below = cut_and_fill_chords(tin, survey.points.normal[tin.source], base, over)
-    found = bridged_volume(tin, base, part, survey.height_variance, gaps)
+    view = patch_views(survey.patches)[survey.sources.geometry.row[tin.source]]
+    found = bridged_volume(tin, base, part, survey.height_variance, gaps, view)
     up = volume.cut_m3 >= volume.fill_m3
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.volume_m3, volume.sigma_m3)
     volume = dataclasses.replace(

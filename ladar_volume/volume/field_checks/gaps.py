@@ -218,7 +218,7 @@ def gap_of(
     share = inside_m2[rows] / np.maximum(footprint_areas(tin.vertices, tin.triangles[rows]), 1e-300)
     xy, weight, height = places_of(corners, np.clip(share, 0.0, 1.0))
     d = np.asarray(seen.tree.query(xy)[0])
-    found = unseen_surface(seen, xy, weight, 0.8 * d, float(weight @ height))
+    found = unseen_surface(seen, xy, weight, 0.8 * d, height)
     x, y = ((weight @ xy) / weight.sum()).tolist()
     size = np.ptp(tin.vertices[np.unique(tin.triangles[rows]), :2], axis=0)
     more = 0.0 if found is None else found.volume_m3 - float(weight @ height)
@@ -226,16 +226,26 @@ def gap_of(
     return Gap(x, y, float(weight.sum()), float(size.max()), sigma, more), found
 
 
+def views_above(base: Plane, xy: F64, view: F64) -> F64:
+    """Views (n, 3) from xy (n, 2) m as they rise above the base, which may rise itself."""
+    out = view.copy()
+    out[:, 2] -= base_height(base, xy + view[:, :2]) - base_height(base, xy)
+    return out
+
+
 def bridged_volume(
-    tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps
+    tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps, view: F64 | None = None
 ) -> BridgedVolume:
-    """What the gaps do to the volume above the base. variance : (n,) m² of the vertex heights."""
+    """What the gaps do to the volume above the base. variance : (n,) m² of the vertex heights ·
+    view : (n, 3) mean unit vectors to where the vertices were seen from, if that is known.
+    """
     if not len(gaps.areas):
         return BridgedVolume(0.0, 0.0, (), 0.0)
     used = vertex_mask(tin, tin.relevant)
     r = tin.vertices[used].copy()
     r[:, 2] -= base_height(base, r[:, :2])
-    seen = ObservedPoints.of(r, variance[used], gaps.usual_m)
+    looked = None if view is None else views_above(base, r[:, :2], view[used])
+    seen = ObservedPoints.of(r, variance[used], gaps.usual_m, looked)
     made, more, total, unknown = [], 0.0, 0.0, 0.0
     for number in range(min(MOST, len(gaps.areas))):
         gap, found = gap_of(tin, base, gaps, number, inside_m2, seen)
