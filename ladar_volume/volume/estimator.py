@@ -90,6 +90,7 @@ class VolumeEstimator:
         self._sources_now: Sources | None = None
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
         self._unseen_m6 = 0.0
+        self._mixed_count = 0
         self._t_ns = 0
         self._newest_bin = -1
 
@@ -153,10 +154,10 @@ class VolumeEstimator:
         taken out, and what was not seen is bridged. Raises :class:`GroundError` where no base can
         be fitted, :class:`VolumeError` where nothing lies inside the outline.
         """
-        footing = footing_of(survey, self.parameters)
-        survey, footing, objects = without_objects(survey, footing, self.parameters)
-        survey, footing = bridged_footing(survey, footing, self.parameters)
-        return SurveyOnBase(survey, footing, objects)
+        found = without_objects(survey, footing_of(survey, self.parameters), self.parameters)
+        self._mixed_count = int(np.count_nonzero(found.mixed))
+        survey, footing = bridged_footing(found.survey, found.footing, self.parameters)
+        return SurveyOnBase(survey, footing, found.objects)
 
     def volume(self, on_base: SurveyOnBase, naive: bool = True) -> Estimate:
         """Volume: prismoids between surface and base, the budget of each body, and its verdict.
@@ -206,13 +207,14 @@ class VolumeEstimator:
 
     @property
     def screen_losses(self) -> Losses:
-        """What the median screen and filter left out and changed in the present surface."""
+        """What the median screen and filter left out and changed in the present surface, and points
+        of mixed returns that the last volume left out.
+        """
         made = self._surface_now
-        return Losses(
-            {}
-            if made is None
-            else {"point_screened": made.screened_count, "point_levelled": made.levelled_count}
-        )
+        if made is None:
+            return Losses()
+        counts = {"point_screened": made.screened_count, "point_levelled": made.levelled_count}
+        return Losses({**counts, "point_mixed": self._mixed_count})
 
     @property
     def parts(self) -> tuple[F64, ...]:

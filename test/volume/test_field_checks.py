@@ -6,7 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from ladar_volume.uncertainty.unseen_surface import ObservedPoints, unseen_surface
+from ladar_volume.volume.field_checks.gap_kriging import (
+    ObservedPoints,
+)
+from ladar_volume.volume.field_checks.unseen_surface import (
+    unseen_surface,
+)
 from test.scenes.cone_pile import TRUE_M3, estimated, names, pile
 
 

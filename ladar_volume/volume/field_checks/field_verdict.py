@@ -25,7 +25,6 @@ from ladar_volume.uncertainty.pass_agreement import (
     pass_agreement,
     patch_scatter,
 )
-from ladar_volume.uncertainty.sight_lines import patch_views
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
 from ladar_volume.volume.field_checks.base_readings import (
@@ -43,6 +42,7 @@ from ladar_volume.volume.field_checks.gaps import (
     gap_doubts,
 )
 from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
+from ladar_volume.volume.field_checks.sight_lines import patch_views
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import (
     NEGLIGIBLE,

@@ -19,9 +19,11 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.uncertainty.ground_field import HALVINGS
-from ladar_volume.uncertainty.unseen_surface import (
-    CELLS,
+from ladar_volume.volume.field_checks.gap_kriging import (
     ObservedPoints,
+)
+from ladar_volume.volume.field_checks.unseen_surface import (
+    CELLS,
     UnseenVolume,
     unseen_surface,
 )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, StandingObject, Volume
+from ladar_volume.model.records import F64, Bool, PatchTable, StandingObject, Volume
 from ladar_volume.volume.field_checks.standing_objects import (
     bent_vertices,
     objects_of,
@@ -20,32 +22,73 @@ from ladar_volume.volume.measured_body import (
     surveyed_surface,
 )
 
-
-def surface_without(survey: SurveyedSurface, taken: Bool, p: Parameters) -> SurveyedSurface:
-    """The surface without the points of vertices ``taken`` (n,)."""
-    keep = np.ones(len(survey.points), np.bool_)
-    keep[survey.tin.source[taken]] = False
-    made = survey_surface(survey.points, p, np.flatnonzero(keep))
-    return surveyed_surface(made, survey.points, survey.patches, survey.sources)
+#: Patches of mixed returns scatter so many times as much as usual, and so many metres, and have at
+#: most such a part of the usual number of returns. Where more of the points are of such patches,
+#: the survey itself scatters.
+SCATTERED, LEAST_M, FEW, MOST_MIXED = 5.0, 0.05, 0.25, 0.1
 
 
-def without_objects(
-    survey: SurveyedSurface, footing: Footing, parameters: Parameters
-) -> tuple[SurveyedSurface, Footing, tuple[StandingObject, ...]]:
-    """The surface without what stands on it, its footing, and what that was."""
-    if parameters.volume.objects != "remove":
-        return survey, footing, ()
-    tin, inside = survey.tin, footing.inside > 0.0
-    standing = standing_vertices(tin, footing.base, inside, parameters.volume)
-    if not standing.any():
-        return survey, footing, ()
-    taken = bent_vertices(tin, standing, parameters.filter.radius_m)
+class Cleared(NamedTuple):
+    """survey : the surface without what does not belong to it · footing : its base and outlines ·
+    objects : what stood on it · mixed : points (n,) of patches of mixed returns that were left out
+    """
+
+    survey: SurveyedSurface
+    footing: Footing
+    objects: tuple[StandingObject, ...]
+    mixed: Bool
+
+
+def without_points(
+    survey: SurveyedSurface, out: Bool, parameters: Parameters
+) -> tuple[SurveyedSurface, Footing] | None:
+    """The surface without the points ``out`` (n,), and its footing; None where nothing is left."""
     try:
-        cleared = surface_without(survey, taken, parameters)
-        new = footing_of(cleared, parameters)
-    except (GroundError, SurfaceError, VolumeError):  # nothing is left without it
-        return survey, footing, ()
-    return cleared, new, objects_of(tin, standing, taken, inside)
+        made = survey_surface(survey.points, parameters, np.flatnonzero(~out))
+        cleared = surveyed_surface(made, survey.points, survey.patches, survey.sources)
+        return cleared, footing_of(cleared, parameters)
+    except (GroundError, SurfaceError, VolumeError):
+        return None
+
+
+def mixed_patches(patches: PatchTable) -> Bool:
+    """Patches (m,) of returns that were measured half on an edge and half on what lies behind it,
+    and lie between the two: few where all around has many, and scattered as nothing around.
+    """
+    scattered = patches.sigma > max(LEAST_M, SCATTERED * float(np.median(patches.sigma)))
+    out: Bool = scattered & (patches.used < FEW * np.median(patches.used))
+    return out
+
+
+def without_mixed(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> Cleared:
+    """The surface without patches of mixed returns: what they lie in is a shadow, which nobody
+    saw.
+    """
+    mixed = mixed_patches(survey.patches)[survey.sources.geometry.row]
+    if not 0 < np.count_nonzero(mixed) <= MOST_MIXED * len(mixed):
+        return Cleared(survey, footing, (), np.zeros(len(mixed), np.bool_))
+    cleared = without_points(survey, mixed, parameters)
+    if cleared is None:
+        return Cleared(survey, footing, (), np.zeros(len(mixed), np.bool_))
+    return Cleared(*cleared, (), mixed)
+
+
+def without_objects(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> Cleared:
+    """The surface without patches of mixed returns and without what stands on it."""
+    if parameters.volume.objects != "remove":
+        return Cleared(survey, footing, (), np.zeros(len(survey.points), np.bool_))
+    found = without_mixed(survey, footing, parameters)
+    tin, inside = found.survey.tin, found.footing.inside > 0.0
+    standing = standing_vertices(tin, found.footing.base, inside, parameters.volume)
+    if not standing.any():
+        return found
+    taken = bent_vertices(tin, standing, parameters.filter.radius_m)
+    out = found.mixed.copy()
+    out[tin.source[taken]] = True
+    cleared = without_points(found.survey, out, parameters)
+    if cleared is None:
+        return found
+    return Cleared(*cleared, objects_of(tin, standing, taken, inside), found.mixed)
 
 
 def objects_by_body(

@@ -10,8 +10,13 @@ from mapped_sheet import mapped, platform
 
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.rmls.surface_filter import SurfaceFilter
-from ladar_volume.uncertainty.sight_lines import patch_views, shadow_heights, sight_slopes
-from ladar_volume.uncertainty.unseen_surface import ObservedPoints, unseen_surface
+from ladar_volume.volume.field_checks.gap_kriging import (
+    ObservedPoints,
+)
+from ladar_volume.volume.field_checks.sight_lines import patch_views, shadow_heights, sight_slopes
+from ladar_volume.volume.field_checks.unseen_surface import (
+    unseen_surface,
+)
 
 LASER = np.array([-8.0, 0.0, 6.0])
 TOP, SLOPE, FAR = 2.0, 0.8, 4.0
@@ -40,7 +45,7 @@ def places(count=12):
 
 def test_views_of_patches_point_to_where_they_were_seen_from():
     rng = np.random.default_rng(3)
-    xy = rng.uniform(-2.0, 2.0, (20_000, 2)) + [14.0, -6.0]
+    xy = rng.uniform([12.0, -8.0], [16.0, -4.0], (20_000, 2))
     z = 0.3 * xy[:, 0] - 0.2 * xy[:, 1] + 0.01 * rng.standard_normal(len(xy))
     f = SurfaceFilter(Parameters.read({"filter": {"radius_m": 0.5}}))
     way = platform()

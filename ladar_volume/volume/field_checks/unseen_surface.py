@@ -1,34 +1,34 @@
 """A surface where nothing was seen, from what was seen around it: its mean height and the variance
 of its volume.
 
-The surface is an intrinsic random field of order 1 with the generalised covariance ``c |h|³``
-(Chilès and Delfiner 2012, *Geostatistics*, sections 4.5 and 4.6): unknown planes cancel, and kinks
-such as the toe and the crest of a pile, which are seldom and whose second differences grow with
-the distance, have this exponent. Its kriging is the smooth continuation of the slopes at the rim.
-The factor c is the survey's own: the same gap is laid over places around it that were seen, the
-volume there is predicted from the rim alone, and the mean of ``error² / predicted variance`` is c.
+The surface is kriged from its rim (:mod:`.gap_kriging`) with the covariance ``c |h|³``. The factor
+c is the survey's own: the same gap is laid over places around it that were seen, the volume there
+is predicted from the rim alone, and the mean of ``error² / predicted variance`` is c.
 
-In the shadow of an edge (:mod:`~ladar_volume.uncertainty.sight_lines`) the surface is not smooth:
-there it lies anywhere between the line of sight and the steepest slope of loose material.
+In the shadow of an edge (:mod:`.sight_lines`) the surface is not smooth: there it lies anywhere
+between the line of sight and the steepest slope of loose material.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from ladar_volume.model.records import F64, I64, Bool
-from ladar_volume.uncertainty.sight_lines import shadow_heights
+from ladar_volume.volume.field_checks.gap_kriging import (
+    ObservedPoints,
+    diameter,
+    predict_heights,
+    predict_integral,
+    rim_points,
+)
+from ladar_volume.volume.field_checks.sight_lines import shadow_heights
 
-#: Places of a gap where its surface is predicted, and points that predict it, at most.
-CELLS, SEEN = 80, 110
-#: Points predict a gap from this distance on, in diameters of a circle of its area, and no less
-#: than so many spacings.
-REACH, SPACINGS = 0.6, 4.0
+#: Places of a gap where its surface is predicted, at most.
+CELLS = 80
 #: Places over which the gap is laid, at most, within so many of its diameters; sizes that are tried
 #: until there are enough of them.
 TRIALS, AWAY, SIZES, ENOUGH = 12, 2.5, (1.0, 0.7, 0.5, 0.35), 6
@@ -44,51 +44,6 @@ FALLS = 3.5
 REPOSE = math.tan(math.radians(45.0))
 #: A place of a gap laid over what was seen has a point within so many spacings.
 FILLED = 2.0
-
-
-@dataclass(frozen=True)
-class ObservedPoints:
-    """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, their usual spacing, m,
-    and mean unit vectors (n, 3) to where they were seen from; of no length where these are not
-    known.
-    """
-
-    r: F64
-    variance: F64
-    spacing_m: float
-    tree: cKDTree
-    view: F64 = field(default_factory=lambda: np.zeros((0, 3)))
-
-    @classmethod
-    def of(
-        cls, r: F64, variance: F64, spacing_m: float, view: F64 | None = None
-    ) -> ObservedPoints:
-        """The points with a tree to find them."""
-        known = np.zeros((0, 3)) if view is None else view
-        return cls(r, variance, spacing_m, cKDTree(r[:, :2]), known)
-
-
-@dataclass(frozen=True)
-class Kriging:
-    """Equations of n points and a plane: A (n + 3, n + 3), right sides K (n + 3, k) of k places,
-    covariances ``own`` (k, k) of these, for c = 1 in units of scale_m.
-    """
-
-    A: F64
-    K: F64
-    own: F64
-    scale_m: float
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A gap as predicted from its rim. volume_m3 : integral of the heights · unit_m6 : variance of
-    it for c = 1 · noise_m6 : from the points' own noise
-    """
-
-    volume_m3: float
-    unit_m6: float
-    noise_m6: float
 
 
 @dataclass(frozen=True)
@@ -113,91 +68,6 @@ class UnseenVolume:
     trials: int
 
 
-def diameter(area_m2: float) -> float:
-    """Of a circle of this area, m."""
-    return 2.0 * math.sqrt(area_m2 / math.pi)
-
-
-def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> I64:
-    """Points (k,) around a gap of places xy (k, 2) m with areas weight (k,) m², but not in it: each
-    further from its places than ``apart`` (k,) m, and one of each square of a grid, so many that
-    they are few.
-    """
-    size = diameter(float(weight.sum()))
-    reach = max(REACH * size, SPACINGS * seen.spacing_m) + float(apart.max())
-    centre = (weight @ xy) / weight.sum()
-    far = float(np.hypot(*(xy - centre).T).max()) + reach
-    near = np.asarray(seen.tree.query_ball_point(centre, far, return_sorted=True), np.int64)
-    if not len(near):
-        return near
-    d, at = cKDTree(xy).query(seen.r[near, :2])
-    near = near[(np.asarray(d) >= apart[at]) & (np.asarray(d) <= reach)]
-    return thin_to_grid(seen.r[near, :2], near, seen.spacing_m)
-
-
-def thin_to_grid(xy: F64, rows: I64, spacing_m: float) -> I64:
-    """One of ``rows`` (k,) in each square of a grid over xy (k, 2), at most about :data:`SEEN`."""
-    side = spacing_m
-    while len(rows) > SEEN:
-        square = np.floor(xy / side).astype(np.int64)
-        first = np.unique(square, axis=0, return_index=True)[1]
-        first.sort()
-        rows, xy, side = rows[first], xy[first], 1.3 * side
-    return rows
-
-
-def kriging_equations(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -> Kriging | None:
-    """The equations of points ``rim`` for places xy (k, 2) m; None where these do not tell a
-    plane. power : of the distance; 1 for a surface as tight as chords.
-    """
-    r = seen.r[rim]
-    if len(r) < 6:
-        return None
-    middle, scale = r[:, :2].mean(axis=0), float(np.ptp(r[:, :2], axis=0).max())
-    p, q = (r[:, :2] - middle) / scale, (xy - middle) / scale
-    n, sign = len(p), 1.0 if power == 3 else -1.0
-    A, K = np.zeros((n + 3, n + 3)), np.zeros((n + 3, len(q)))
-    A[:n, :n] = sign * cdist(p, p) ** power
-    A[:n, n], A[:n, n + 1 :] = 1.0, p
-    A[n:, :n] = A[:n, n:].T
-    K[:n], K[n], K[n + 1 :] = sign * cdist(p, q) ** power, 1.0, q.T
-    return Kriging(A, K, sign * cdist(q, q) ** power, scale)
-
-
-def predict_integral(seen: ObservedPoints, rim: I64, xy: F64, weight: F64) -> Prediction | None:
-    """The integral over places xy (k, 2) m with areas weight (k,) m², from points ``rim``; None
-    where these do not tell a plane.
-    """
-    made = kriging_equations(seen, rim, xy)
-    if made is None:
-        return None
-    k0 = made.K @ weight
-    try:
-        solved = np.linalg.solve(made.A, k0)
-    except np.linalg.LinAlgError:
-        return None
-    unit = float(weight @ made.own @ weight) - float(k0 @ solved)
-    by_point = solved[: len(rim)]
-    return Prediction(
-        float(by_point @ seen.r[rim, 2]),
-        max(unit, 0.0) * made.scale_m**3,
-        float(by_point**2 @ seen.variance[rim]),
-    )
-
-
-def predict_heights(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -> F64:
-    """Heights (k,) m at places xy (k, 2) m from points ``rim``."""
-    made = kriging_equations(seen, rim, xy, power)
-    if made is None:
-        return np.full(len(xy), math.nan)
-    try:
-        solved = np.linalg.solve(made.A, np.append(seen.r[rim, 2], np.zeros(3)))
-    except np.linalg.LinAlgError:
-        return np.full(len(xy), math.nan)
-    out: F64 = made.K.T @ solved
-    return out
-
-
 def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
     """Heights z (k,) m at xy (k, 2) no lower and no higher than slopes of loose material allow from
     points r (n, 3), and the volume between these bounds, m³; as they are, and NaN, where the points
@@ -210,13 +80,17 @@ def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
     return np.clip(z, low, high), float(weight @ (high - low))
 
 
-def fall_variance(seen: ObservedPoints, rim: I64, xy: F64, weight: F64, z: F64) -> float:
-    """Variance, m⁶, for not knowing where in a gap its surface falls: a smooth surface of heights
-    z (k,) m lies above the chords on one side and below them on the other, and the volumes cancel.
+def swing_m6(seen: ObservedPoints, rim: I64, xy: F64, weight: F64, z: F64) -> float:
+    """Of a smooth surface of heights z (k,) m over chords as tight as a film: the square of what
+    lies between the two, above and below, less what is left of it in all, m⁶. On the way between
+    two levels it is above on one side and below on the other, and nobody knows where it falls.
+    Where views are known, what is in no shadow was seen to fall nowhere else.
     """
+    if len(seen.view):
+        return 0.0
     apart = weight * (z - predict_heights(seen, rim, xy, 1))
     both, net = float(np.abs(apart).sum()), float(apart.sum())
-    return FALLS**2 * max(both**2 - net**2, 0.0) if math.isfinite(both) else 0.0
+    return max(both**2 - net**2, 0.0) if math.isfinite(both) else 0.0
 
 
 def trial_places(seen: ObservedPoints, xy: F64, weight: F64) -> F64:
@@ -327,11 +201,11 @@ def unseen_surface(
     if found is None:
         return None
     z, room = within_repose(seen.r[rim], xy, lit, predict_heights(seen, rim, xy))
-    bulge_m3, area = float(lit @ (z - chord)), float(weight.sum())
     trials = trials_of(seen, xy, weight, apart) if lit.any() else []
-    factor, share = scale_from_trials(trials, (bulge_m3 / area) ** 2)
-    variance = factor * found.unit_m6 + found.noise_m6 + share * bulge_m3**2
-    variance += fall_variance(seen, rim, xy, lit, z)
+    net_m6, swing = float(lit @ (z - chord)) ** 2, swing_m6(seen, rim, xy, lit, z)
+    factor, share = scale_from_trials(trials, (net_m6 + swing) / float(weight.sum()) ** 2)
+    variance = factor * found.unit_m6 + found.noise_m6
+    variance += share * (net_m6 + (FALLS / DOUBTED) ** 2 * swing)
     if math.isfinite(room):
         variance = min(variance, room**2 / 12.0) if trials else room**2 / 12.0
     elif not trials and lit.any():

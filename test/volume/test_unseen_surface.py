@@ -9,20 +9,23 @@ import pytest
 from scipy.linalg import null_space
 from scipy.spatial.distance import cdist, pdist
 
-from ladar_volume.uncertainty import unseen_surface as unseen
-from ladar_volume.uncertainty.unseen_surface import (
-    CELLS,
+from ladar_volume.volume.field_checks import unseen_surface as unseen
+from ladar_volume.volume.field_checks.gap_kriging import (
     SEEN,
-    TRIALS,
-    GapTrial,
     ObservedPoints,
     Prediction,
     diameter,
-    fall_variance,
     predict_heights,
     predict_integral,
     rim_points,
+)
+from ladar_volume.volume.field_checks.unseen_surface import (
+    CELLS,
+    FALLS,
+    TRIALS,
+    GapTrial,
     scale_from_trials,
+    swing_m6,
     trial_places,
     try_gap,
     unseen_surface,
@@ -265,7 +268,7 @@ def test_where_a_surface_falls_between_two_levels_is_not_known():
         seen = ObservedPoints.of(r, np.full(len(r), 1e-8), 0.2)
         rim = rim_points(seen, place, weight, np.zeros(len(place)))
         z = predict_heights(seen, rim, place)
-        return fall_variance(seen, rim, place, weight, z) ** 0.5
+        return FALLS * swing_m6(seen, rim, place, weight, z) ** 0.5
 
     for high in (0.9, 1.15):
         first, last = (np.clip(place[:, 0] - at, 0.0, high) @ weight for at in (-1.0, 1.0 - high))
