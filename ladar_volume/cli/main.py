@@ -63,6 +63,8 @@ EXTRAS = {
     "dask": "scale",
     "distributed": "scale",
 }
+#: What ``--quiet`` does.
+QUIET = "print errors and --json alone"
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70
 
@@ -128,9 +130,7 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
         prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust."
     )
     parser.add_argument("--version", action="version", version=f"ladar_volume {version()}")
-    parser.add_argument(
-        "--quiet", action="store_true", help="before the verb: print errors and --json alone"
-    )
+    parser.add_argument("--quiet", action="store_true", help=QUIET)
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, module in MODULES.items():
         if wanted in (name, None):
@@ -152,7 +152,18 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
     complete = verbs.add_parser("completion", help="completion of words for a shell")
     complete.add_argument("shell", choices=("bash", "zsh", "tcsh"))
     complete.set_defaults(run=_completion)
+    _quiet_behind(verbs)
     return parser
+
+
+def _quiet_behind(verbs: Any) -> None:
+    """--quiet behind each verb, and behind its own verbs, as before it."""
+    for each in verbs.choices.values():
+        if each.add_help:
+            each.add_argument("--quiet", action="store_true", default=argparse.SUPPRESS, help=QUIET)
+        for action in each._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                _quiet_behind(action)
 
 
 def _print_refusal(text: str, code: int) -> int:

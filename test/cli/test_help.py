@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import subprocess
 
@@ -58,3 +59,26 @@ def test_quiet_prints_errors_and_json_alone(capsys, tmp_path):
     assert capsys.readouterr().out == ""
     assert main(["--quiet", "info", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("ladar_volume: ")
+
+
+@pytest.mark.parametrize("verb", ["check-config", "info"])
+def test_quiet_stands_before_or_behind_the_verb(capsys, verb):
+    of = {"check-config": "config/default.yaml", "info": "bags/box"}[verb]
+    for words in (["--quiet", verb, of], [verb, "--quiet", of], [verb, of, "--quiet"]):
+        assert main(words) == 0
+        assert capsys.readouterr().out == ""
+    assert main([verb, of]) == 0 and capsys.readouterr().out
+
+
+def test_quiet_is_an_option_of_every_verb():
+    parser = make_parser(None)
+
+    def leaves(one):
+        below = [a for a in one._actions if isinstance(a, argparse._SubParsersAction)]
+        for each in (c for a in below for c in a.choices.values()):
+            yield each
+            yield from leaves(each)
+
+    assert len(list(leaves(parser))) > 20
+    for each in leaves(parser):
+        assert "--quiet" in each.format_help()

@@ -1,10 +1,12 @@
 """What stands on a pile or beside it is taken out, named, and the surface below bridged."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from ladar_volume.volume.field_checks.object_removal import mixed_patches
 from ladar_volume.volume.field_checks.standing_objects import Steps, any_step, standing_parts
 from test.scenes.cone_pile import TRUE_M3, estimated, estimator_of, names, pile
 
@@ -62,6 +64,42 @@ def test_the_ground_beside_a_pit_is_no_object():
     low, high = np.array([1, 1, 1, 1]), np.array([0, 0, 2, 2])
     steps = Steps(low, high, np.ones(4), np.arange(3), np.array([500, 60, 5]))
     assert standing_parts(steps, np.array([True, False, False])).tolist() == [False, False, True]
+
+
+def with_floats(share, objects="remove"):
+    """The pile with patches at the toe on one side lifted by 40 cm: a few scattered returns each,
+    or, with a share of 1, as many as anywhere. Boxes stand on it, too.
+    """
+    e = estimator_of(with_boxes((-2.0, 0.5, 0.5, 0.5, 1.7)), objects=objects)
+    patches, points = e.store.patches, e.store.points
+    off = patches.centre - [3.6, 0.0, 0.0]
+    patches.used[:] = 100
+    patches.sigma[:] = 0.01
+    hit = np.abs(off[:, :2]).max(axis=1) < 0.8
+    patches.used[hit], patches.sigma[hit] = 100 * share, 0.12
+    points.r_map[np.isin(points.patch, patches.key[hit]), 2] += 0.4
+    return e, int(np.count_nonzero(np.isin(points.patch, patches.key[hit])))
+
+
+def test_patches_of_mixed_returns_leave_a_gap_and_are_counted():
+    e, count = with_floats(0.1)
+    v = e.estimate().volume
+    assert e.screen_losses["point_mixed"] == count > 20
+    assert len(v.objects) == 1 and v.seen_share < 1.0
+    assert abs(v.volume_m3 - TRUE_M3) < 2.0 * v.sigma_m3
+    for other in (with_floats(1.0)[0], with_floats(0.1, "count")[0]):
+        assert other.estimate().volume.volume_m3 > v.volume_m3 + 0.3
+        assert other.screen_losses["point_mixed"] == 0
+
+
+def test_a_survey_that_scatters_everywhere_keeps_its_patches():
+    few = SimpleNamespace(sigma=np.full(40, 0.01), used=np.full(40, 100))
+    few.sigma[:5], few.used[:5] = [0.2, 0.2, 0.04, 0.06, 0.06], [20, 30, 20, 20, 24]
+    assert np.flatnonzero(mixed_patches(few)).tolist() == [0, 3, 4]
+    few.sigma[:] *= 10.0  # half of them, or all alike
+    assert np.flatnonzero(mixed_patches(few)).tolist() == [0, 3, 4]
+    few.sigma[:30] = 1.0
+    assert not mixed_patches(few).any()
 
 
 def test_vertices_without_objects_have_their_sigma():
