@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from statistics import NormalDist
 
@@ -44,7 +44,7 @@ class SurveyedSurface:
     """The surface of a survey and what is known of its errors.
 
     points, patches : the filtered surface it is made from · height_variance : (v,) m² of the
-    vertices, noise alone
+    vertices, noise alone · hidden : (h, 2) m, where vertices were that were taken out
     """
 
     surface: RepresentedSurface
@@ -52,6 +52,7 @@ class SurveyedSurface:
     patches: PatchTable
     sources: Sources
     height_variance: F64
+    hidden: F64 = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def tin(self) -> Tin:

@@ -66,6 +66,29 @@ def test_the_ground_beside_a_pit_is_no_object():
     assert standing_parts(steps, np.array([True, False, False])).tolist() == [False, False, True]
 
 
+def test_a_pile_against_a_wall_has_the_strip_below_it_in_sigma():
+    """The pile ends at a wall 40 cm wide, which is taken out; whether the pile goes on below it
+    nobody sees.
+    """
+    at = 1.5
+
+    def height(x, y):
+        z = np.where(x < at, pile(x, y), 0.0)
+        return np.where(np.abs(x - at - 0.2) < 0.21, 3.0, z)
+
+    v = estimated(height).volume
+    u = (np.arange(800) + 0.5) / 100.0 - 4.0
+    x, y = np.meshgrid(u, u)
+    true_m3 = float(pile(x, y)[x < at].sum() * 1e-4)
+    assert len(v.objects) == 1 and v.objects[0].high_m > 2.0
+    # of the strip, some 5 m long and up to 1.2 m high, half is counted or is not
+    assert 0.1 < v.budget_m6["unseen"] ** 0.5 < 2.5
+    assert abs(v.volume_m3 - true_m3) < 2.0 * v.sigma_m3
+    # a machine in the open hides next to nothing
+    beside = estimated(with_boxes((5.5, 0.0, 1.0, 1.0, 1.5))).volume
+    assert beside.budget_m6.get("unseen", 0.0) ** 0.5 < 0.02
+
+
 def with_floats(share, objects="remove"):
     """The pile with patches at the toe on one side lifted by 40 cm: a few scattered returns each,
     or, with a share of 1, as many as anywhere. Boxes stand on it, too.

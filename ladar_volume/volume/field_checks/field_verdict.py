@@ -40,6 +40,7 @@ from ladar_volume.volume.field_checks.gaps import (
     bridging_triangles,
     find_gaps,
     gap_doubts,
+    hidden_m6,
 )
 from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
 from ladar_volume.volume.field_checks.sight_lines import patch_views
@@ -105,6 +106,7 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     """The volume of a body with what was not seen of it: part (m,) m² of each triangle."""
     tin, base = survey.tin, footing.base
     gaps = find_gaps(tin, part)
+    volume = with_line(volume, "unseen", hidden_m6(tin, base, part, gaps, survey.hidden))
     if not len(gaps.areas):
         return volume
     over = np.where(gaps.triangle >= 0, part, 0.0)

@@ -17,6 +17,7 @@ from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
+from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.uncertainty.ground_field import HALVINGS
 from ladar_volume.volume.field_checks.gap_kriging import (
@@ -260,6 +261,24 @@ def bridged_volume(
     size = gaps.areas**3.5
     total *= float(size.sum() / size[:MOST].sum())
     return BridgedVolume(more, total, tuple(made), unknown)
+
+
+def hidden_m6(tin: Tin, base: Plane, part: F64, gaps: Gaps, hidden: F64) -> float:
+    """Variance, m⁶, of what objects at ``hidden`` (h, 2) m hid, in strips too narrow to be gaps:
+    the surface lies anywhere between the lowest and the highest corner of a triangle that spans
+    them, all along a strip alike. part : (m,) m² of each triangle that counts
+    """
+    if not len(hidden):
+        return 0.0
+    at = locate(triangle_index(tin, part > 0.0), hidden)
+    under = np.zeros(len(part), np.bool_)
+    under[at[at >= 0]] = True
+    under &= gaps.triangle < 0
+    if not under.any():
+        return 0.0
+    room = part * np.ptp(height_above(tin.vertices, base)[tin.triangles], axis=1)
+    by_strip = np.bincount(components(tin, under)[under], room[under])
+    return float(by_strip @ by_strip) / 12.0
 
 
 def gap_doubts(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -88,7 +89,8 @@ def without_objects(survey: SurveyedSurface, footing: Footing, parameters: Param
     cleared = without_points(found.survey, out, parameters)
     if cleared is None:
         return found
-    return Cleared(*cleared, objects_of(tin, standing, taken, inside), found.mixed)
+    new = dataclasses.replace(cleared[0], hidden=tin.vertices[taken, :2])
+    return Cleared(new, cleared[1], objects_of(tin, standing, taken, inside), found.mixed)
 
 
 def objects_by_body(
