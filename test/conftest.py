@@ -15,7 +15,8 @@ own_process()  # before NumPy, which reads then how many threads it may use
 HERE = Path(__file__).parent
 TOGETHER = {
     "online": ("nodes", "process", "io", "georeference"),
-    "clouds": ("cli", "clouds", "rmls"),
+    "verbs": ("cli",),
+    "clouds": ("clouds", "rmls"),
 }
 GROUP = {folder: name for name, folders in TOGETHER.items() for folder in folders}
 

@@ -66,10 +66,22 @@ def room(path):
 
 
 @cache
+def tree_of(path):
+    """A file as it is parsed, once."""
+    return ast.parse(path.read_text())
+
+
+@cache
+def nodes_of(path):
+    """All that it is made of."""
+    return tuple(ast.walk(tree_of(path)))
+
+
+@cache
 def imports(path):
     """Modules a file imports, at any level; ``from package.room import module`` is that module."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -121,7 +133,7 @@ def test_the_core_knows_no_files_no_clock_and_no_later_room(path):
     assert not {name.split(".")[0] for name in imports(path)} & banned
     calls = {
         n.func.id
-        for n in ast.walk(ast.parse(path.read_text()))
+        for n in nodes_of(path)
         if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
     }
     assert not calls & {"open", "print"}
@@ -151,7 +163,7 @@ def test_what_another_module_uses_is_public():
     private = [
         f"{path.relative_to(PACKAGE)}: {n.module}.{a.name}"
         for path in FILES
-        for n in ast.walk(ast.parse(path.read_text()))
+        for n in nodes_of(path)
         if isinstance(n, ast.ImportFrom) and (n.module or "").startswith("ladar_volume")
         for a in n.names
         if a.name.startswith("_")
@@ -162,7 +174,7 @@ def test_what_another_module_uses_is_public():
 def functions():
     """File, name and arguments of every function of the package."""
     for path in FILES:
-        for n in ast.walk(ast.parse(path.read_text())):
+        for n in nodes_of(path):
             if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef):
                 every = [*n.args.posonlyargs, *n.args.args, *n.args.kwonlyargs]
                 yield path, n.name, [a for a in every if a.arg not in ("self", "cls")]
@@ -183,7 +195,7 @@ def test_few_functions_are_longer_than_a_screen():
     tall = [
         f"{path.relative_to(PACKAGE)}: {n.name} has {n.end_lineno - n.lineno + 1} lines"
         for path in FILES
-        for n in ast.walk(ast.parse(path.read_text()))
+        for n in nodes_of(path)
         if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
         and n.end_lineno - n.lineno + 1 > LINES
     ]
@@ -204,7 +216,7 @@ def test_tests_touch_few_private_members():
     found = [
         f"{path.relative_to(TESTS)}:{n.lineno}: {ast.unparse(n)}"
         for path in sorted(TESTS.rglob("*.py"))
-        for n in ast.walk(ast.parse(path.read_text()))
+        for n in nodes_of(path)
         if isinstance(n, ast.Attribute) and n.attr.startswith("_") and not n.attr.startswith("__")
         if not (isinstance(n.value, ast.Name) and n.value.id in ("self", "cls"))
     ]
@@ -216,7 +228,7 @@ def test_no_test_imports_another_or_changes_where_python_looks():
     test starts.
     """
     for path in sorted(TESTS.rglob("*.py")):
-        tree = ast.parse(path.read_text())
+        tree = tree_of(path)
         found = [n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
         found += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
         assert not [m for m in found if m.split(".")[-1].startswith("test_")], path
@@ -251,7 +263,7 @@ def test_parameters_of_users_stand_in_the_model():
         n.name
         for path in FILES
         if room(path) != "model"
-        for n in ast.walk(ast.parse(path.read_text()))
+        for n in nodes_of(path)
         if isinstance(n, ast.ClassDef) and n.name.endswith(("Options", "Settings", "Parameters"))
     }
     assert found <= {"PublishedParameters"}

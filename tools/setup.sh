@@ -84,11 +84,4 @@ for stages in "volume epochs georeference" filter clouds; do
     compiling+=($!)
 done
 for process in "${compiling[@]}"; do wait "$process"; done
-# files and closed bodies by a first answer of their verbs: it is for the kernels alone
-made="$(mktemp -d)"
-cloud=test/data/isprs_samp41.pcd
-.venv/bin/ladar_volume --quiet volume "$cloud" --base ground >/dev/null 2>&1 &
-.venv/bin/ladar_volume --quiet body "$cloud" -o "$made/bodies.ply" >/dev/null 2>&1 &
-wait
-rm -rf "$made"
 touch .venv/ready

@@ -14,6 +14,7 @@ from ladar_volume.volume.field_checks.gap_kriging import (
     SEEN,
     ObservedPoints,
     Prediction,
+    above_film,
     diameter,
     predict_heights,
     predict_integral,
@@ -194,6 +195,7 @@ def told(monkeypatch):
     monkeypatch.setattr(unseen, "try_gap", lay)
     monkeypatch.setattr(unseen, "predict_integral", lambda *given: Prediction(5.0, 0.3, 0.02))
     monkeypatch.setattr(unseen, "predict_heights", lambda *given: np.full(len(place), 1.25))
+    monkeypatch.setattr(unseen, "above_film", lambda *given: (0.0 * weight, 0.0 * weight))
 
     def of(height, chord_m3, *given):
         calls.clear(), trials.clear(), trials.extend(given)
@@ -267,8 +269,7 @@ def test_where_a_surface_falls_between_two_levels_is_not_known():
         r = np.column_stack([xy, height(xy[:, 0])])
         seen = ObservedPoints.of(r, np.full(len(r), 1e-8), 0.2)
         rim = rim_points(seen, place, weight, np.zeros(len(place)))
-        z = predict_heights(seen, rim, place)
-        return FALLS * swing_m6(seen, rim, place, weight, z) ** 0.5
+        return FALLS * swing_m6(seen, rim, place, weight) ** 0.5
 
     for high in (0.9, 1.15):
         first, last = (np.clip(place[:, 0] - at, 0.0, high) @ weight for at in (-1.0, 1.0 - high))
@@ -277,6 +278,32 @@ def test_where_a_surface_falls_between_two_levels_is_not_known():
     # a fold lies on one side of its chords, a plane on none
     assert told(lambda x: 0.3 * x + 2.0) < 1e-6
     assert told(np.abs) < 0.3 * found
+
+
+def test_noise_is_no_fall():
+    rng = np.random.default_rng(7)
+    place, weight = gap()
+    noisy = seen_around(
+        height=lambda p: 0.2 * p[:, 0] + rng.normal(0.0, 0.05, len(p)), sigma_m=0.05
+    )
+    rim = rim_points(noisy, place, weight, np.zeros(len(place)))
+    assert swing_m6(noisy, rim, place, weight) == 0.0
+    sure = ObservedPoints.of(noisy.r, 1e-12 * noisy.variance, noisy.spacing_m)
+    assert swing_m6(sure, rim, place, weight) > 1e-5
+
+
+def test_a_film_is_below_the_smooth_surface_by_what_both_predict():
+    seen, (place, weight) = seen_around(), gap()
+    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    above, noise = above_film(seen, rim, place)
+    smooth, film = (predict_heights(seen, rim, place, power) for power in (3, 1))
+    np.testing.assert_allclose(above, smooth - film, atol=1e-9)
+    rng, drawn = np.random.default_rng(1), []
+    for _ in range(300):
+        r = seen.r + np.column_stack([0.0 * seen.r[:, :2], rng.normal(0.0, 0.01, len(seen.r))])
+        other = ObservedPoints.of(r, seen.variance, seen.spacing_m)
+        drawn.append(above_film(other, rim, place)[0])
+    np.testing.assert_allclose(np.std(drawn, axis=0), noise, rtol=0.2)
 
 
 def test_too_few_points_or_points_on_a_line_tell_nothing():

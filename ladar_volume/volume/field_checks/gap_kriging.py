@@ -151,3 +151,20 @@ def predict_heights(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -> 
         return np.full(len(xy), math.nan)
     out: F64 = made.K.T @ solved
     return out
+
+
+def above_film(seen: ObservedPoints, rim: I64, xy: F64) -> tuple[F64, F64]:
+    """How far the smooth surface lies above one as tight as a film at places xy (k, 2), m, and the
+    standard deviation (k,) of that from the points' own noise; NaN where the points ``rim`` do not
+    tell it.
+    """
+    smooth, film = kriging_equations(seen, rim, xy), kriging_equations(seen, rim, xy, 1)
+    unknown = np.full(len(xy), math.nan)
+    if smooth is None or film is None:
+        return unknown, unknown
+    try:
+        by_point = np.linalg.solve(smooth.A, smooth.K) - np.linalg.solve(film.A, film.K)
+    except np.linalg.LinAlgError:
+        return unknown, unknown
+    by_point = by_point[: len(rim)]
+    return by_point.T @ seen.r[rim, 2], np.sqrt((by_point**2).T @ seen.variance[rim])

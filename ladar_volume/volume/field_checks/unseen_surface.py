@@ -20,6 +20,7 @@ from scipy.spatial.distance import cdist
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.volume.field_checks.gap_kriging import (
     ObservedPoints,
+    above_film,
     diameter,
     predict_heights,
     predict_integral,
@@ -40,6 +41,8 @@ DOUBTED, BEFORE = 0.5, 4.0
 #: for a step of 45 degrees in a gap 1.75 times as wide as it is high: in the shadow of an edge,
 #: which is where most such gaps come from, the surface falls at once.
 FALLS = 3.5
+#: What is less than so many standard deviations of the points' noise is no fall.
+NOISE = 3.0
 #: Slope that loose material keeps, at most; a surface that is seen to be steeper has no such bound.
 REPOSE = math.tan(math.radians(45.0))
 #: A place of a gap laid over what was seen has a point within so many spacings.
@@ -80,16 +83,17 @@ def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
     return np.clip(z, low, high), float(weight @ (high - low))
 
 
-def swing_m6(seen: ObservedPoints, rim: I64, xy: F64, weight: F64, z: F64) -> float:
-    """Of a smooth surface of heights z (k,) m over chords as tight as a film: the square of what
-    lies between the two, above and below, less what is left of it in all, m⁶. On the way between
-    two levels it is above on one side and below on the other, and nobody knows where it falls.
-    Where views are known, what is in no shadow was seen to fall nowhere else.
+def swing_m6(seen: ObservedPoints, rim: I64, xy: F64, weight: F64) -> float:
+    """Of a smooth surface over one as tight as a film: the square of what lies between the two,
+    above and below, less what is left of it in all, m⁶. On the way between two levels it is above
+    on one side and below on the other, and nobody knows where it falls. What the points' noise may
+    be is left out. Where views are known, what is in no shadow was seen to fall nowhere else.
     """
     if len(seen.view):
         return 0.0
-    apart = weight * (z - predict_heights(seen, rim, xy, 1))
-    both, net = float(np.abs(apart).sum()), float(apart.sum())
+    above, noise = above_film(seen, rim, xy)
+    above = weight * np.sign(above) * np.maximum(np.abs(above) - NOISE * noise, 0.0)
+    both, net = float(np.abs(above).sum()), float(above.sum())
     return max(both**2 - net**2, 0.0) if math.isfinite(both) else 0.0
 
 
@@ -202,7 +206,7 @@ def unseen_surface(
         return None
     z, room = within_repose(seen.r[rim], xy, lit, predict_heights(seen, rim, xy))
     trials = trials_of(seen, xy, weight, apart) if lit.any() else []
-    net_m6, swing = float(lit @ (z - chord)) ** 2, swing_m6(seen, rim, xy, lit, z)
+    net_m6, swing = float(lit @ (z - chord)) ** 2, swing_m6(seen, rim, xy, lit)
     factor, share = scale_from_trials(trials, (net_m6 + swing) / float(weight.sum()) ** 2)
     variance = factor * found.unit_m6 + found.noise_m6
     variance += share * (net_m6 + (FALLS / DOUBTED) ** 2 * swing)
