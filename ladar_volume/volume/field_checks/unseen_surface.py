@@ -87,10 +87,8 @@ def swing_m6(seen: ObservedPoints, rim: I64, xy: F64, weight: F64) -> float:
     """Of a smooth surface over one as tight as a film: the square of what lies between the two,
     above and below, less what is left of it in all, m⁶. On the way between two levels it is above
     on one side and below on the other, and nobody knows where it falls. What the points' noise may
-    be is left out. Where views are known, what is in no shadow was seen to fall nowhere else.
+    be is left out.
     """
-    if len(seen.view):
-        return 0.0
     above, noise = above_film(seen, rim, xy)
     above = weight * np.sign(above) * np.maximum(np.abs(above) - NOISE * noise, 0.0)
     both, net = float(np.abs(above).sum()), float(above.sum())
