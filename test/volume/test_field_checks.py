@@ -184,3 +184,13 @@ def test_a_level_beside_the_ground_is_doubted_with_both_volumes(level, doubted):
     assert bool(found) == doubted
     if doubted:
         assert found[0].value == pytest.approx(-level, abs=0.01)
+
+
+def test_a_level_so_far_below_that_all_of_the_site_rises_above_it_is_doubted():
+    """The outline is the edge of the survey: there is no ground beyond it."""
+    low = dict(base="level", level_m=-0.4, object_height_m=0.3)
+    v = estimated(**low).volume
+    assert v.volume_m3 > 100.0
+    (found,) = (d for d in v.verdict.doubts if d.name == "base_level")
+    assert found.value == pytest.approx(0.4, abs=0.01)
+    assert "base_level" not in names(estimated(outline="all", **low))

@@ -27,6 +27,7 @@ from ladar_volume.ground.polynomial import (
 )
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.boundary import boundary_sides, side_ends
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
 from ladar_volume.uncertainty.roughness import estimate_roughness
@@ -37,8 +38,9 @@ CHANCE, MATTERS = 3.0, 2.0
 #: Standard deviation of the base where readings differ beyond chance: what is beyond so many times
 #: it.
 BEYOND = 1.5
-#: Fewest points of a reading, and most of the toe line.
-FEWEST, MOST = 30, 2000
+#: Fewest points of a reading, and of an outline with nothing beyond it, whose hull has few; most of
+#: the toe line.
+FEWEST, FEWEST_AT_END, MOST = 30, 8, 2000
 #: From where to where the toe line lies beyond the outline, in radii of the filter.
 TOE = (1.0, 2.0)
 #: Points that the field of the residuals is told from.
@@ -191,14 +193,24 @@ def base_reading_doubts(
     return out
 
 
+def outline_points(tin: Tin, inside: Bool) -> I64:
+    """Vertices (k,) along the outline of the triangles ``inside`` (m,)."""
+    out = np.unique(side_ends(tin, *boundary_sides(tin, inside))).astype(np.int64)
+    return out[:: max(1, math.ceil(len(out) / MOST))]
+
+
 def given_base_doubts(
-    tin: Tin, base: Plane, inside_m2: F64, radius_m: float, volume: Volume
+    tin: Tin, base: Plane, inside_m2: F64, radius_m: float, volume: Volume, found: bool
 ) -> list[Doubt]:
     """The ground along the toe lies off a base that is given, by little and everywhere alike: a
-    shift of all heights, such as a lever arm's or a datum's, which the passes cannot see.
+    shift of all heights, such as a lever arm's or a datum's, which the passes cannot see. Where the
+    outline was ``found`` and nothing lies beyond it, all of the ground is in it: that along the
+    outline counts.
     """
-    toe = toe_points(tin, inside_m2 > 0.0, radius_m)
-    if len(toe) < FEWEST or volume.cut_m3 <= volume.fill_m3:
+    toe, fewest = toe_points(tin, inside_m2 > 0.0, radius_m), FEWEST
+    if len(toe) < fewest and found:
+        toe, fewest = outline_points(tin, inside_m2 > 0.0), FEWEST_AT_END
+    if len(toe) < fewest or volume.cut_m3 <= volume.fill_m3:
         return []
     height = height_above(tin.vertices[toe], base)
     off = float(np.median(height))

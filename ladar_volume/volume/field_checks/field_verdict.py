@@ -143,14 +143,20 @@ def with_null_volumes(
 
 
 def with_base(
-    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, volume: Volume, radius_m: float
+    survey: SurveyedSurface,
+    footing: Footing,
+    body: MeasuredBody,
+    volume: Volume,
+    parameters: Parameters,
 ) -> Volume:
     """The volume of a body with what null volumes and other readings of its base say."""
-    part = body.part
+    part, radius_m = body.part, parameters.filter.radius_m
     volume = with_null_volumes(survey, footing, body, volume)
     found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
     if not len(footing.base.support):
-        doubts = Verdict(tuple(given_base_doubts(survey.tin, footing.base, part, radius_m, volume)))
+        free = parameters.volume.outline == "auto"
+        told = given_base_doubts(survey.tin, footing.base, part, radius_m, volume, free)
+        doubts = Verdict(tuple(told))
         return dataclasses.replace(volume, verdict=volume.verdict + doubts)
     if found is None:
         return volume
@@ -389,7 +395,7 @@ def assess_field(
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(volume, passes.cover_m)
     volume = with_gaps(survey, footing, part, volume)
-    volume = with_base(survey, footing, body, volume, parameters.filter.radius_m)
+    volume = with_base(survey, footing, body, volume, parameters)
     tin = survey.tin
     normal = survey.points.normal[tin.source]
     on_face = steep(normal)
