@@ -78,7 +78,8 @@ def test_what_is_seen_from_above_or_from_two_sides_is_in_no_shadow():
     xy, _ = places()
     above = np.tile([0.2, 0.0, 0.98], (len(r), 1))
     both = view * [0.0, 0.0, 1.0]
-    for views in (above, both, np.zeros_like(view)):
+    below = np.tile([-0.8, 0.0, -0.6], (len(r), 1))
+    for views in (above, both, below, np.zeros_like(view)):
         assert not np.isfinite(shadow_heights(r, views, xy, 0.4)).any()
     # nor is a hole in the ground itself, as of a puddle, though the line there is as low
     flat = r * [1.0, 1.0, 0.0]
@@ -87,12 +88,12 @@ def test_what_is_seen_from_above_or_from_two_sides_is_in_no_shadow():
 
 
 def test_slopes_of_views():
-    view = np.array([[3.0, 4.0, 5.0], [0.0, 0.0, 1.0], [0.1, 0.0, 0.1]])
+    view = np.array([[3.0, 4.0, 5.0], [0.0, 0.0, 1.0], [0.1, 0.0, 0.1], [0.8, 0.0, -0.6]])
     view[0] /= np.linalg.norm(view[0])
     direction, slope = sight_slopes(view)
     np.testing.assert_allclose(direction[0], [0.6, 0.8])
     assert slope[0] == pytest.approx(1.0)
-    assert slope[1] == slope[2] == math.inf  # upright, and of no one line
+    assert (slope[1:] == math.inf).all()  # upright, of no one line, and from below
 
 
 def test_the_volume_in_a_shadow_is_anywhere_between_the_line_and_the_steepest_slope():

@@ -38,10 +38,10 @@ def patch_views(patches: PatchTable) -> F64:
 
 def sight_slopes(view: F64) -> tuple[F64, F64]:
     """Directions in plan (n, 2) of views (n, 3), and how much they rise per metre there; infinite
-    where there is no view, or none that is one.
+    where there is no view, none that is one, or one from below, past no edge that is higher.
     """
     flat, length = np.hypot(view[:, 0], view[:, 1]), np.linalg.norm(view, axis=1)
-    one = (length > ONE_SIDED) & (flat > 1e-6)
+    one = (length > ONE_SIDED) & (flat > 1e-6) & (view[:, 2] > 0.0)
     safe = np.where(one, flat, 1.0)
     return view[:, :2] / safe[:, None], np.where(one, view[:, 2] / safe, math.inf)
 
