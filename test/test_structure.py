@@ -66,15 +66,9 @@ def room(path):
 
 
 @cache
-def tree_of(path):
-    """A file as it is parsed, once."""
-    return ast.parse(path.read_text())
-
-
-@cache
 def nodes_of(path):
-    """All that it is made of."""
-    return tuple(ast.walk(tree_of(path)))
+    """All that a file is made of, parsed once."""
+    return tuple(ast.walk(ast.parse(path.read_text())))
 
 
 @cache
@@ -228,11 +222,11 @@ def test_no_test_imports_another_or_changes_where_python_looks():
     test starts.
     """
     for path in sorted(TESTS.rglob("*.py")):
-        tree = tree_of(path)
-        found = [n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
-        found += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+        nodes = nodes_of(path)
+        found = [n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module]
+        found += [a.name for n in nodes if isinstance(n, ast.Import) for a in n.names]
         assert not [m for m in found if m.split(".")[-1].startswith("test_")], path
-        members = [n for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
+        members = [n for n in nodes if isinstance(n, ast.Attribute)]
         assert not [n for n in members if ast.unparse(n).startswith("sys.path.")], path
 
 

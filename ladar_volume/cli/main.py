@@ -17,6 +17,7 @@ from typing import Any
 
 from ladar_volume.cli.arguments.lines import Parser, one_line, printable, shown_name
 from ladar_volume.cli.help.examples import add_examples
+from ladar_volume.cli.help.near_misses import verbs_of
 from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.process.switch import own_process
@@ -152,18 +153,15 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
     complete = verbs.add_parser("completion", help="completion of words for a shell")
     complete.add_argument("shell", choices=("bash", "zsh", "tcsh"))
     complete.set_defaults(run=_completion)
-    _quiet_behind(verbs)
+    _quiet_behind(parser)
     return parser
 
 
-def _quiet_behind(verbs: Any) -> None:
+def _quiet_behind(parser: argparse.ArgumentParser) -> None:
     """--quiet behind each verb, and behind its own verbs, as before it."""
-    for each in verbs.choices.values():
-        if each.add_help:
-            each.add_argument("--quiet", action="store_true", default=argparse.SUPPRESS, help=QUIET)
-        for action in each._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                _quiet_behind(action)
+    for each in verbs_of(parser).values():
+        each.add_argument("--quiet", action="store_true", default=argparse.SUPPRESS, help=QUIET)
+        _quiet_behind(each)
 
 
 def _print_refusal(text: str, code: int) -> int:

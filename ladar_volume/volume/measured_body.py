@@ -44,7 +44,7 @@ class SurveyedSurface:
     """The surface of a survey and what is known of its errors.
 
     points, patches : the filtered surface it is made from · height_variance : (v,) m² of the
-    vertices, noise alone · hidden : (h, 2) m, where vertices were that were taken out
+    vertices, noise alone · hidden : (h, 2) m, where points were that were taken out
     """
 
     surface: RepresentedSurface

@@ -15,7 +15,7 @@ def hint(message: str, parser: argparse.ArgumentParser) -> str:
     """ "; did you mean …?" for a refusal of argparse, or nothing."""
     choice, unknown = _CHOICE.match(message), _UNKNOWN.match(message)
     if choice:
-        return _nearest(choice[1], list(_verbs(parser)))
+        return _nearest(choice[1], list(verbs_of(parser)))
     words = unknown[1].split() if unknown else []
     option = next((w.partition("=")[0] for w in words if w.startswith("--")), None)
     return "" if option is None else _nearest(option, _options(parser))
@@ -26,7 +26,8 @@ def _nearest(word: str, known: list[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def _verbs(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+def verbs_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The verbs that stand right behind a parser's own options, by name."""
     out: dict[str, argparse.ArgumentParser] = {}
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
@@ -37,6 +38,6 @@ def _verbs(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser
 def _options(parser: argparse.ArgumentParser) -> list[str]:
     """Long options of the parser and of those verbs that were declared with theirs."""
     out = [o for a in parser._actions for o in a.option_strings if o.startswith("--")]
-    for each in _verbs(parser).values():
+    for each in verbs_of(parser).values():
         out += _options(each)
     return out

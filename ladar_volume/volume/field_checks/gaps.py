@@ -264,7 +264,7 @@ def bridged_volume(
 
 
 def hidden_m6(tin: Tin, base: Plane, part: F64, gaps: Gaps, hidden: F64) -> float:
-    """Variance, m⁶, of what objects at ``hidden`` (h, 2) m hid, in strips too narrow to be gaps:
+    """Variance, m⁶, of what points at ``hidden`` (h, 2) m hid, in strips too narrow to be gaps:
     the surface lies anywhere between the lowest and the highest corner of a triangle that spans
     them, all along a strip alike. part : (m,) m² of each triangle that counts
     """

@@ -43,13 +43,21 @@ class Cleared(NamedTuple):
 def without_points(
     survey: SurveyedSurface, out: Bool, parameters: Parameters
 ) -> tuple[SurveyedSurface, Footing] | None:
-    """The surface without the points ``out`` (n,), and its footing; None where nothing is left."""
+    """The surface without the points ``out`` (n,), which it keeps the places of, and its footing;
+    None where nothing is left.
+    """
     try:
         made = survey_surface(survey.points, parameters, np.flatnonzero(~out))
         cleared = surveyed_surface(made, survey.points, survey.patches, survey.sources)
+        cleared = dataclasses.replace(cleared, hidden=survey.points.r_map[out, :2])
         return cleared, footing_of(cleared, parameters)
     except (GroundError, SurfaceError, VolumeError):
         return None
+
+
+def all_of(survey: SurveyedSurface, footing: Footing) -> Cleared:
+    """A surface of which nothing is left out."""
+    return Cleared(survey, footing, (), np.zeros(len(survey.points), np.bool_))
 
 
 def mixed_patches(patches: PatchTable) -> Bool:
@@ -66,18 +74,17 @@ def without_mixed(survey: SurveyedSurface, footing: Footing, parameters: Paramet
     saw.
     """
     mixed = mixed_patches(survey.patches)[survey.sources.geometry.row]
-    if not 0 < np.count_nonzero(mixed) <= MOST_MIXED * len(mixed):
-        return Cleared(survey, footing, (), np.zeros(len(mixed), np.bool_))
-    cleared = without_points(survey, mixed, parameters)
+    some = 0 < np.count_nonzero(mixed) <= MOST_MIXED * len(mixed)
+    cleared = without_points(survey, mixed, parameters) if some else None
     if cleared is None:
-        return Cleared(survey, footing, (), np.zeros(len(mixed), np.bool_))
+        return all_of(survey, footing)
     return Cleared(*cleared, (), mixed)
 
 
 def without_objects(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> Cleared:
     """The surface without patches of mixed returns and without what stands on it."""
     if parameters.volume.objects != "remove":
-        return Cleared(survey, footing, (), np.zeros(len(survey.points), np.bool_))
+        return all_of(survey, footing)
     found = without_mixed(survey, footing, parameters)
     tin, inside = found.survey.tin, found.footing.inside > 0.0
     standing = standing_vertices(tin, found.footing.base, inside, parameters.volume)
@@ -89,8 +96,7 @@ def without_objects(survey: SurveyedSurface, footing: Footing, parameters: Param
     cleared = without_points(found.survey, out, parameters)
     if cleared is None:
         return found
-    new = dataclasses.replace(cleared[0], hidden=tin.vertices[taken, :2])
-    return Cleared(new, cleared[1], objects_of(tin, standing, taken, inside), found.mixed)
+    return Cleared(*cleared, objects_of(tin, standing, taken, inside), found.mixed)
 
 
 def objects_by_body(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from ladar_volume.model.records import F64, I64, Bool, PatchTable
 
@@ -38,7 +37,7 @@ def patch_views(patches: PatchTable) -> F64:
 
 def sight_slopes(view: F64) -> tuple[F64, F64]:
     """Directions in plan (n, 2) of views (n, 3), and how much they rise per metre there; infinite
-    where there is no view, none that is one, or one from below, past no edge that is higher.
+    where a point was seen from several sides, from right above, or from below.
     """
     flat, length = np.hypot(view[:, 0], view[:, 1]), np.linalg.norm(view, axis=1)
     one = (length > ONE_SIDED) & (flat > 1e-6) & (view[:, 2] > 0.0)
@@ -75,7 +74,7 @@ def shadow_heights(r: F64, view: F64, xy: F64, beside_m: float) -> F64:
     for k in range(len(xy)):
         part = ((xy[k] - start[:, :2]) * step[:, :2]).sum(axis=1) / square
         at = start[:, :2] + part[:, None] * step[:, :2]
-        near = (part >= 0.0) & (part <= 1.0) & (cdist(at, xy[k : k + 1])[:, 0] <= beside_m)
+        near = (part >= 0.0) & (part <= 1.0) & (np.hypot(*(at - xy[k]).T) <= beside_m)
         if near.any():
             out[k] = float((start[near, 2] + part[near] * step[near, 2]).min())
     return out
