@@ -240,6 +240,16 @@ def test_slopes_of_loose_material_bound_a_gap(told):
     np.testing.assert_allclose(z + low, 2.5)
 
 
+def test_the_heights_around_bound_a_gap_beside_a_wall(told):
+    """One trial that was next to certain and wrong says nothing of metres beyond the rim."""
+    of, _ = told
+    seen, (place, weight) = seen_around(height=steep), gap()
+    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    bound = (4.0 * np.ptp(seen.r[rim, 2])) ** 2 / 12.0
+    found = of(steep, 5.0, *5 * [GapTrial(0.1, 1.0, 0.0)], GapTrial(0.1, 1e-6, 0.0))
+    assert found.variance_m6 == pytest.approx(bound)
+
+
 def test_smaller_gaps_of_the_same_shape_are_laid_until_there_are_enough(told):
     of, calls = told
     of(steep, 5.0, *5 * [GapTrial(0.4, 0.2, 0.0)])

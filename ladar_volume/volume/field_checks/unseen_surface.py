@@ -210,7 +210,10 @@ def unseen_surface(
     variance += share * (net_m6 + (FALLS / DOUBTED) ** 2 * swing)
     if math.isfinite(room):
         variance = min(variance, room**2 / 12.0) if trials else room**2 / 12.0
-    elif not trials and lit.any():
+    elif trials:  # a wall is at the rim: no slope bounds the gap, but the heights around it do
+        between_m3 = float(lit.sum() * np.ptp(seen.r[rim, 2]))
+        variance = min(variance, between_m3**2 / 12.0)
+    elif lit.any():
         return None
     volume_m3 = float(weight @ np.where(shade.dark, shade.middle, z))
     return UnseenVolume(volume_m3, variance + shade.room_m3**2 / 12.0, len(trials))
