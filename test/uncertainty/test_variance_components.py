@@ -248,7 +248,8 @@ def test_a_group_without_effect_tells_nothing_of_itself_nor_of_others():
         both = variance_components(UnitErrors(y, 0.5, parts))
         at = scores(UnitErrors(y, 0.5, parts), np.ones(2))
     assert alone["a"].freed and alone["a"].factor > 3.0
-    assert both["a"] == alone["a"]
+    # the order of sums in BLAS depends on where arrays lie in memory
+    assert both["a"] == pytest.approx(alone["a"], rel=1e-9)
     assert both["none"].factor == 1.0 and not both["none"].freed
     assert at.first[1] == at.ratio[1] == at.freedom[1] == 0.0
 
