@@ -67,7 +67,7 @@ def until(done):
 
 
 def call(name):
-    clients[name].wait_for_service(timeout_sec=10.0)
+    clients[name].wait_for_service(timeout_sec=60.0)
     future = clients[name].call_async(Trigger.Request())
     until(future.done)
     return json.loads(future.result().message)

@@ -227,7 +227,7 @@ time.sleep(0.6)
 refused = node.set_parameters([Parameter("georeference.range_min_m", value=2.0)])[0]
 accepted = volume.set_parameters([Parameter("volume.level_m", value=3.0)])[0]
 outside = volume.set_parameters([Parameter("volume.confidence", value=7.0)])[0]
-compute.wait_for_service(timeout_sec=5.0)
+compute.wait_for_service(timeout_sec=60.0)
 future = compute.call_async(Trigger.Request())
 until(future.done)
 answer = future.result()
@@ -309,7 +309,7 @@ def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path, env
     ]
     node = subprocess.Popen(command, env=environment, cwd=ROOT)
     try:
-        for _ in range(200):
+        for _ in range(600):
             if log.exists():
                 break
             with pytest.raises(subprocess.TimeoutExpired):

@@ -19,13 +19,13 @@ patches = tester.create_publisher(PointCloud2, "patches", STREAM)
 node = VolumeNode()
 node.autostart()
 listener, spinner = Spinner(tester), Spinner(node)
-until = lambda done, s=20.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
+until = lambda done, s=60.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
 until(lambda: patches.get_subscription_count() and node.count_subscribers("/rosout"))
 if sys.argv[1] == "half":  # its points do not come
     patches.publish(PointCloud2(header=header(5, "map")))
     until(lambda: node.health.counts().get("patches"))
 spinner.close()
-until(lambda: any("volume" in words for words in said), 5.0)
+until(lambda: any("volume" in words for words in said))
 listener.close()
 rclpy.try_shutdown()
 print(json.dumps(said))

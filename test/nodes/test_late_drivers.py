@@ -285,7 +285,7 @@ out = {
     "fix": driver.create_publisher(NavSatFix, "gnss/fix", STREAM),
     "imu": driver.create_publisher(Imu, "imu/data", STREAM),
 }
-until = lambda done, s=10.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
+until = lambda done, s=60.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
 until(lambda: all(p.get_subscription_count() >= 2 for p in out.values()))
 def stamped(message, k):
     message.header.stamp.sec, message.header.stamp.nanosec = 1000, k

@@ -56,7 +56,7 @@ tester.create_subscription(
 )
 chat = tester.create_publisher(String, "chat", STREAM)
 spinners = [Spinner(n) for n in (node, tester)]
-until = lambda done, s=10.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
+until = lambda done, s=60.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
 until(lambda: chat.get_subscription_count() and early.get_subscription_count())
 for i in range(500):
     chat.publish(String(data=f"line {i}"))
@@ -64,7 +64,7 @@ for i in range(500):
 early.publish(Float64(data=7.0))
 until(lambda: lines.get("logger_node", {}).get("written_chat") == "500")
 split = tester.create_client(Trigger, "logger_node/split")
-split.wait_for_service(timeout_sec=5.0)
+split.wait_for_service(timeout_sec=60.0)
 future = split.call_async(Trigger.Request())
 until(future.done)
 until(lambda: lines["logger_node"]["file"].endswith("_1.mcap"))

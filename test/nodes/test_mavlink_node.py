@@ -61,7 +61,7 @@ for name, kind, topic in (
 ):
     tester.create_subscription(kind, topic, lambda m, name=name: got[name].append(m), STREAM)
 spinners = [Spinner(n) for n in (node, tester)]
-until = lambda done, s=10.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
+until = lambda done, s=60.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
 link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=1, source_component=1)
 boot = time.time() - 50.0
 began = time.time()

@@ -36,7 +36,7 @@ update = surface_update(lambda x, y: 3.0 + 0.02 * x - cone(x, y))
 states = platform_messages(platform(20, 2), None, ("map", "base_link"))
 
 
-def until(done, seconds=20.0):
+def until(done, seconds=60.0):
     for _ in range(int(seconds / 0.05)):
         if done():
             return

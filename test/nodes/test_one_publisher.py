@@ -42,7 +42,7 @@ for node in nodes:
     node.autostart()
 spinners = [Spinner(n) for n in (*nodes, own, stranger)]
 def until(condition):
-    end = time.monotonic() + 15.0
+    end = time.monotonic() + 60.0
     while not condition() and time.monotonic() < end:
         time.sleep(0.05)
 def datum(latitude):

@@ -40,14 +40,14 @@ node = LoggerNode(parameter_overrides=values(logger__path=sys.argv[1] + "/log.mc
 stranger = rclpy.create_node("stranger")
 spinners = [Spinner(n) for n in (node, stranger)]
 client = stranger.create_client(SetParameters, "logger_node/set_parameters")
-client.wait_for_service(timeout_sec=10.0)
+client.wait_for_service(timeout_sec=60.0)
 asked = values(
     logger__path=sys.argv[1] + "/precious.txt",
     logger__disk_full="delete_oldest",
     node__output_folder=sys.argv[1],
 )
 future = client.call_async(SetParameters.Request(parameters=[p.to_parameter_msg() for p in asked]))
-for _ in range(500):
+for _ in range(3000):
     if future.done():
         break
     time.sleep(0.02)

@@ -57,7 +57,7 @@ robot.create_subscription(Odometry, "platform", heard["platform"].append, 100)
 fix_out = robot.create_publisher(NavSatFix, "gnss/fix", 50)
 imu_out = robot.create_publisher(Imu, "imu/data", 50)
 spinners = [Spinner(n) for n in (right, robot)]
-until = lambda done, s=20.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
+until = lambda done, s=60.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
 until(lambda: fix_out.get_subscription_count() and imu_out.get_subscription_count())
 until(lambda: right.count_subscribers("/tf") > 1 and right.count_subscribers("platform"))
 for i in range(20):
@@ -69,7 +69,7 @@ for i in range(20):
     imu.orientation.z, imu.orientation.w = math.sin(0.02 * i), math.cos(0.02 * i)
     fix_out.publish(fix)
     imu_out.publish(imu)
-until(lambda: len(heard["platform"]) > 10 and len(heard["tf"]) >= len(heard["platform"]), 10.0)
+until(lambda: len(heard["platform"]) > 10 and len(heard["tf"]) >= len(heard["platform"]))
 for s in spinners:
     s.close()
 vector = lambda v: [v.x, v.y, v.z]

@@ -142,7 +142,7 @@ for name, url in (("silent", "udpin:127.0.0.1:0"), ("refused", "tcp:127.0.0.1:9"
     nodes.append(link)
     started.append(link.autostart())
 spinners = [Spinner(n) for n in (*nodes, tester)]
-for _ in range(600):
+for _ in range(3000):
     if all(p.get_subscription_count() for of in pubs.values() for p, _ in of.values()):
         break
     time.sleep(0.02)
