@@ -61,7 +61,7 @@ from ladar_volume.clouds.cloud_volume import (
 )
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
-from ladar_volume.clouds.sampling.cloud_objects import without_objects
+from ladar_volume.clouds.sampling.cloud_objects import nearly_all_above, without_objects
 from ladar_volume.clouds.sampling.height_axis import check_height_axis
 from ladar_volume.clouds.sampling.pair_objects import without_new_objects
 from ladar_volume.clouds.sampling.site_lengths import (
@@ -335,8 +335,9 @@ def cleared_pair(task: VolumeTask, surfaces: list[CloudSurface]) -> list[CloudSu
 
 
 def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
-    """The surface without what stands on it, where the ground and the main body are looked for, or
-    outlines are given.
+    """The surface without what stands on it, above its ground, a level or a given plane, or in
+    outlines that are given. Where no body is looked for, what is nearly all that rises above the
+    base is what is measured, and stays.
     """
     v, a = task.parameters.volume, task.arguments
     if a.clean == "off" or v.objects != "remove":
@@ -344,14 +345,20 @@ def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
     rings: list[F64] = []
     if task.outlines is not None:
         rings = [check_polygon(pile.ring) for pile in task.outlines.piles]
-    elif (task.base != "ground" or v.outline != "auto") and a.piles is None:
-        return surface
+    elif a.piles is None:
+        if task.frame is not None or task.base not in ("ground", "level", "plane"):
+            return surface
+        rings = [polygon_of(v)] if v.outline == "polygon" else []
     task.progress("what stands on the surface")
     fitted = with_site_lengths(task, surface).parameters
     if a.piles is not None:  # piles that are found stand on the ground, whatever their base
         volume = dataclasses.replace(fitted.volume, base="ground", outline="auto")
         fitted = dataclasses.replace(fitted, volume=volume)
-    return without_objects(surface, fitted, task.options, rings)
+    cleared = without_objects(surface, fitted, task.options, rings)
+    by_body = fitted.volume.base == "ground" and fitted.volume.outline == "auto"
+    if by_body or task.outlines is not None or not nearly_all_above(cleared, fitted):
+        return cleared
+    return surface
 
 
 def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:

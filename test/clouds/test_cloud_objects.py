@@ -179,3 +179,45 @@ def test_places_beside_cells_as_by_comparison(seed):
     one, two = np.floor((xy - low) / cell), np.floor((there - low) / cell)
     near = (np.abs(one[:, None] - two[None]) <= 1.0).all(axis=2).any(axis=1)
     np.testing.assert_array_equal(beside(xy, there, cell), np.flatnonzero(near))
+
+
+def truck_on(xy, z, at=(8.0, 8.0)):
+    z[(np.abs(xy[:, 0] - at[0]) < 2.5) & (np.abs(xy[:, 1] - at[1]) < 1.2)] = 3.0
+    return z
+
+
+SQUARE = "volume.polygon_m=[-10,-10,10,-10,10,10,-10,10]"
+BASES = {
+    "level": (("--level", "-0.5"), 0.5 * 26.0**2),
+    "plane": (("--plane", "-0.5", "0", "0"), 0.5 * 26.0**2),
+    "polygon": (("--level", "-0.5", "--set", "volume.outline=polygon", "--set", SQUARE), 200.0),
+}
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_a_truck_is_not_counted_above_a_level_either(tmp_path, capsys, base):
+    options, below = BASES[base]
+    _, xy, noise = site(9)
+    np.save(tmp_path / "cloud.npy", np.c_[xy, truck_on(xy, cone(xy)) + noise])
+    words = ["volume", str(tmp_path / "cloud.npy"), "--json", *options]
+    assert main(words) == 0
+    facts = json.loads(capsys.readouterr().out)
+    edge = 0.01 * below  # of the hull, half a spacing within the square
+    assert abs(facts["net_m3"] - TRUE_M3 - below) < edge + 3.0 * facts["sigma_m3"]
+    assert "object" in names(facts) and 25.0 < facts["objects"][0]["volume_m3"] < 45.0
+    assert main([*words, "--clean", "off"]) == 0
+    counted = json.loads(capsys.readouterr().out)
+    assert counted["net_m3"] - facts["net_m3"] > 25.0
+
+
+WITHIN = ("--set", "volume.outline=polygon", "--set", "volume.polygon_m=[3,3,12,3,12,12,3,12]")
+
+
+@pytest.mark.parametrize("options", [("--level", "0.05"), ("--base", "ground", *WITHIN)])
+def test_a_truck_that_is_all_there_is_is_measured(tmp_path, capsys, options):
+    _, xy, noise = site(10)
+    np.save(tmp_path / "cloud.npy", np.c_[xy, truck_on(xy, 0.0 * noise) + noise])
+    assert main(["volume", str(tmp_path / "cloud.npy"), "--json", *options]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["objects"] == [] and "object" not in names(facts)
+    assert facts["cut_m3"] == pytest.approx(5.0 * 2.4 * 2.95, rel=0.15)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import ground_and_outline
+from ladar_volume.clouds.cloud_volume import ground_and_outline, solid_within
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
@@ -50,6 +50,8 @@ HIGHER = 0.5
 REACH = 4.0
 #: Rounds: what leans on a thing is seen when that is gone.
 ROUNDS = 3
+#: Things that are this share of all that rises, or that changed, may be what is measured.
+NEARLY_ALL = 0.75
 
 
 def thinned_tin(points: F64, cell_m: float, spacing_m: float) -> Tin:
@@ -149,6 +151,17 @@ def without_objects(
 
     kept, found = what_stays(surface, parameters, find)
     return rebuilt(surface, kept, options, found) if found else surface
+
+
+def nearly_all_above(cleared: CloudSurface, parameters: Parameters) -> bool:
+    """Whether what was taken out of a surface is nearly all that rose above its base."""
+    taken = sum(one.volume_m3 for one in cleared.objects)
+    if taken == 0.0:
+        return False
+    tin = cleared.representation.tin
+    base, inside = ground_and_outline(tin, np.zeros(len(tin.vertices)), parameters)
+    left = solid_within(tin, base, inside > 0.0, parameters).cut_m3
+    return taken >= NEARLY_ALL * (taken + left)
 
 
 def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tuple[I64, Objects]:

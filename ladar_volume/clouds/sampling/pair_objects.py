@@ -19,6 +19,7 @@ from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.sampling.cloud_objects import (
     HIGHER,
+    NEARLY_ALL,
     Objects,
     rebuilt,
     step_of,
@@ -40,8 +41,6 @@ from ladar_volume.volume.field_checks.standing_objects import (
 
 #: A thing is new where the other cloud lies lower at this share of its vertices.
 NEW = 0.5
-#: Things that are this share of all that changed may be what is measured.
-NEARLY_ALL = 0.75
 
 
 def new_vertices(
