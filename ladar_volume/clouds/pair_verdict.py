@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,10 +18,21 @@ from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
 from ladar_volume.clouds.sampling.objects_beside import objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.pair_objects import new_object_doubts
+from ladar_volume.clouds.sampling.pair_registration import (
+    ALIKE,
+    CELLS,
+    CHANGED,
+    UnchangedPart,
+    cell_means,
+    tilt_doubts,
+    unchanged_part,
+    uniform_doubts,
+    with_offset,
+)
 from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, Bool, Plane, StandingObject, Tin
+from ladar_volume.model.records import F64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
@@ -33,122 +43,10 @@ from ladar_volume.volume.field_checks.standing_objects import APART_M
 from ladar_volume.volume.field_checks.steep_faces import wall_m6
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
-#: Cells in which differences are averaged, about so many; fewest; least part of a cell that counts.
-CELLS, FEWEST, FULL = 400, 40, 0.3
 #: Fewest cells of ground that is named, and fewest triangles in each.
 FEWEST_NAMED, IN_CELL = 8, 8
-#: Share of the cells in the shortest interval, which is where nothing changed, and that interval's
-#: length in standard deviations of normal differences.
-MODE, LENGTH = 0.25, 0.6373
-#: A cell changed beyond so many standard deviations of those that did not.
-CHANGED = 5.0
-#: Least shares of the area that did not change, and that did, for the two to be told apart.
-SAME, OTHER = 0.15, 0.02
-#: Neighbouring cells that count as one: ground and registration vary slowly.
-ALIKE = 4.0
-#: An offset is beyond chance above so many of its standard deviations, and matters above so many of
-#: the volume's.
-CHANCE, MATTERS = 3.0, 2.0
 #: Climb of a steep face that may be a wall or a machine, at least, m.
 FACE_M = 0.3
-
-
-@dataclass(frozen=True)
-class UnchangedPart:
-    """Where two surfaces are alike. offset_m ± sigma_m : upper minus lower there · scatter_m : of
-    the cells' means · share, changed : of the common footprint that is alike, and that is not ·
-    named : whether the place was named
-    """
-
-    offset_m: float
-    sigma_m: float
-    scatter_m: float
-    share: float
-    changed: float
-    named: bool = False
-
-    @property
-    def is_distinguishable(self) -> bool:
-        """Whether enough did not change, and enough did, to tell the two apart."""
-        return self.named or (self.share >= SAME and self.changed >= OTHER)
-
-
-class CellMeans(NamedTuple):
-    """A surface by square cells of a side, m, from low (2,) on. mean, area : (k,) m and m², of
-    cells that are full enough · cell : (k, 2) their numbers
-    """
-
-    mean: F64
-    area: F64
-    cell: I64
-    low: F64
-    side: float
-
-
-def cell_means(tin: Tin, cells: int = CELLS) -> CellMeans:
-    """Mean heights of a surface by cells, about so many."""
-    area = footprint_areas(tin.vertices, tin.triangles)
-    corners = tin.vertices[tin.triangles]
-    middle, height = corners[:, :, :2].mean(axis=1), corners[:, :, 2].mean(axis=1)
-    side = math.sqrt(float(area.sum()) / cells)
-    low = middle.min(axis=0)
-    cell = np.floor((middle - low) / side).astype(np.int64)
-    numbers, at = np.unique(cell, axis=0, return_inverse=True)
-    at = at.reshape(-1)
-    own: F64 = np.bincount(at, area).astype(np.float64)
-    mean = np.bincount(at, area * height) / np.maximum(own, 1e-300)
-    full = own > FULL * side * side
-    return CellMeans(mean[full], own[full], numbers[full], low, side)
-
-
-def unchanged_part(tin: Tin) -> UnchangedPart | None:
-    """The part of a difference surface that did not change; None for too few cells."""
-    return unchanged_cells(cell_means(tin))
-
-
-def unchanged_cells(cells: CellMeans) -> UnchangedPart | None:
-    """The part of cells that did not change: about the shortest interval that holds a quarter of
-    them. None for too few.
-    """
-    mean, area = cells.mean, cells.area
-    if len(mean) < FEWEST:
-        return None
-    order = np.sort(mean)
-    count = max(2, math.ceil(MODE * len(order)))
-    spans = order[count - 1 :] - order[: len(order) - count + 1]
-    first = int(np.argmin(spans))
-    middle = float(np.median(order[first : first + count]))
-    scatter = max(float(spans[first]) / LENGTH, 1e-9)
-    for _ in range(10):
-        inside = np.abs(mean - middle) <= CHANCE * scatter
-        middle = float(np.median(mean[inside]))
-        spread = 1.4826 * float(np.median(np.abs(mean[inside] - middle)))
-        if abs(spread - scatter) <= 1e-3 * scatter:
-            break
-        scatter = max(spread, 1e-9)
-    total = float(area.sum())
-    alike = np.abs(mean - middle) <= CHANCE * scatter
-    other = np.abs(mean - middle) > CHANGED * scatter
-    sigma = scatter / math.sqrt(max(np.count_nonzero(alike) / ALIKE, 1.0))
-    return UnchangedPart(
-        middle, sigma, scatter, float(area[alike].sum()) / total, float(area[other].sum()) / total
-    )
-
-
-def with_offset(volume: CloudVolume, found: UnchangedPart) -> tuple[CloudVolume, list[Doubt]]:
-    """The volume with the offset of two clouds where nothing changed in sigma."""
-    effect = found.offset_m * volume.area_m2
-    beyond = abs(found.offset_m) > CHANCE * found.sigma_m
-    if not (found.is_distinguishable and beyond and abs(effect) > MATTERS * volume.sigma_m3):
-        return volume, []
-    words = (
-        f"over {100 * found.share:.0f} % of the common footprint the two clouds are alike but for "
-        f"{1e3 * found.offset_m:.3g} ± {1e3 * found.sigma_m:.2g} mm of height: if nothing changed "
-        f"there, {effect:.4g} m³ of the net volume are no change; register them again, or move "
-        "one by it"
-    )
-    volume = with_lines(volume, {"registration": effect**2 + (found.sigma_m * volume.area_m2) ** 2})
-    return volume, [Doubt("offset", words, found.offset_m)]
 
 
 @dataclass(frozen=True)
@@ -332,4 +230,7 @@ def pair_verdict(
     if outline > 0.0:
         volume = with_lines(volume, {"outline": outline})
     volume, more = with_offset(volume, ground.unchanged)
+    if inside is None:  # of all that both saw
+        more += uniform_doubts(volume, ground.unchanged)
+        more += tilt_doubts(volume, cell_means(tin), ground.unchanged)
     return volume, Verdict(tuple(doubts + more))

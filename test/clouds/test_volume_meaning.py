@@ -21,7 +21,8 @@ from ladar_volume.clouds.cloud_volume import (
     solid_above,
     volume_difference,
 )
-from ladar_volume.clouds.pair_verdict import UnchangedPart, with_offset, with_pair_gaps
+from ladar_volume.clouds.pair_verdict import with_pair_gaps
+from ladar_volume.clouds.sampling.pair_registration import UnchangedPart, with_offset
 from ladar_volume.clouds.volume_verdict import counted_areas
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.surface_parameters import SurfaceParameters

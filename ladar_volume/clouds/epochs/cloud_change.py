@@ -3,8 +3,8 @@ level of detection, and the volumes above it.
 
 A bare cloud tells its noise. What else two surveys differ by, as registration, calibration and
 navigation, is told where nothing changed: by how far means of cells lie apart there
-(:func:`ladar_volume.clouds.pair_verdict.unchanged_part`). It enters the level of detection, and
-the sigma of thresholded volumes.
+(:func:`~ladar_volume.clouds.sampling.pair_registration.unchanged_part`). It enters the level of
+detection, and the sigma of thresholded volumes.
 """
 
 from __future__ import annotations
@@ -27,16 +27,8 @@ from ladar_volume.change.surface_difference import Difference, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, between_clouds
 from ladar_volume.clouds.epochs.cloud_registration import Registration
-from ladar_volume.clouds.pair_verdict import (
-    ALIKE,
-    CELLS,
-    CHANCE,
-    PairGround,
-    UnchangedPart,
-    named_part,
-    pair_ground,
-    pair_verdict,
-)
+from ladar_volume.clouds.pair_verdict import PairGround, named_part, pair_ground, pair_verdict
+from ladar_volume.clouds.sampling.pair_registration import ALIKE, CELLS, CHANCE, UnchangedPart
 from ladar_volume.clouds.survey.flight_errors import vertex_slopes
 from ladar_volume.clouds.volume_verdict import (
     apart_doubts,

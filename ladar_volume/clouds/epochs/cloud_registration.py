@@ -18,7 +18,12 @@ from scipy.spatial import cKDTree
 from ladar_volume.change.epoch_change import within_outline
 from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.pair_verdict import CHANCE, UnchangedPart, cell_means, unchanged_cells
+from ladar_volume.clouds.sampling.pair_registration import (
+    CHANCE,
+    UnchangedPart,
+    cell_means,
+    unchanged_cells,
+)
 from ladar_volume.model.errors import RegistrationError, VolumeError
 from ladar_volume.model.records import F64, I32, I64, Tin
 from ladar_volume.model.verdict import Doubt
