@@ -8,6 +8,7 @@ line. ``python -m ladar_volume.io.config`` regenerates config/default.yaml and d
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -149,7 +150,7 @@ def _table(title: str, cls: type) -> list[str]:
         f"| `{s.key}` | `{_yaml(values[s.key])}` | {_bounds(s)} | {s.help} |" for s in specs(cls)
     ]
     head = ["| key | default | range | meaning |", "|---|---|---|---|"]
-    return [f"## {title}", "", (cls.__doc__ or "").strip(), "", *head, *rows, ""]
+    return [f"## {title}", "", inspect.cleandoc(cls.__doc__ or ""), "", *head, *rows, ""]
 
 
 def parameters_markdown() -> str:

@@ -70,7 +70,7 @@ def test_frames_that_do_not_come_are_refused_where_nothing_else_mounts(installed
     p = parameters(**NAMED)
     given = dataclasses.replace(p.calibration, lever_laser_m=(1.0, 0.0, 0.0))
     p = dataclasses.replace(p, calibration=given)
-    assert static_mounting.mounting_from_frames(Node([]), p).parameters == p
+    assert repr(static_mounting.mounting_from_frames(Node([]), p).parameters) == repr(p)
     with pytest.raises(ConfigurationError, match=r"lever_laser_m is 1\.000"):
         static_mounting.mounting_from_frames(Node([static("imu_link", "velodyne", 2.0)]), p)
 
@@ -79,4 +79,5 @@ def test_without_names_or_without_the_package_the_configuration_counts(installed
     assert "node.imu_frame" in static_mounting.mounting_from_frames(None, parameters()).words[0]
     monkeypatch.setattr(static_mounting, "message_class", lambda kind: None)
     found = static_mounting.mounting_from_frames(None, parameters(**NAMED))
-    assert "tf2_msgs is not installed" in found.words[0] and found.parameters == parameters(**NAMED)
+    assert "tf2_msgs is not installed" in found.words[0]
+    assert repr(found.parameters) == repr(parameters(**NAMED))
