@@ -22,10 +22,11 @@ from ladar_volume.clouds.sampling.pair_registration import (
     ALIKE,
     CELLS,
     CHANGED,
+    CellMeans,
     UnchangedPart,
     cell_means,
     tilt_doubts,
-    unchanged_part,
+    unchanged_cells,
     uniform_doubts,
     with_offset,
 )
@@ -52,13 +53,14 @@ FACE_M = 0.3
 @dataclass(frozen=True)
 class PairGround:
     """tin : upper minus lower over what both saw · unchanged : where they are alike · least_m :
-    apart beyond chance · on_face : (n,) vertices on steep faces
+    apart beyond chance · on_face : (n,) vertices on steep faces · cells : means of the difference
     """
 
     tin: Tin
     unchanged: UnchangedPart
     least_m: float
     on_face: Bool
+    cells: CellMeans
 
     @property
     def level(self) -> Plane:
@@ -93,12 +95,15 @@ def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
     if sigmas[0] is None or sigmas[1] is None:
         return None
     tin = difference(surfaces[0].representation.tin, surfaces[1].representation.tin).common()
-    found = unchanged_part(tin) if len(tin.triangles) else None
+    if not len(tin.triangles):
+        return None
+    cells = cell_means(tin)
+    found = unchanged_cells(cells)
     if found is None:
         return None
     noise = math.hypot(*(float(np.median(s)) for s in sigmas if s is not None))
     least = max(CLIMB * noise, CHANGED * found.scatter_m)
-    return PairGround(tin, found, least, steep_edges(tin, max(FACE_M, least)))
+    return PairGround(tin, found, least, steep_edges(tin, max(FACE_M, least)), cells)
 
 
 def edge_doubts(
@@ -232,5 +237,5 @@ def pair_verdict(
     volume, more = with_offset(volume, ground.unchanged)
     if inside is None:  # of all that both saw
         more += uniform_doubts(volume, ground.unchanged)
-        more += tilt_doubts(volume, cell_means(tin), ground.unchanged)
+        more += tilt_doubts(volume, ground.cells, ground.unchanged)
     return volume, Verdict(tuple(doubts + more))

@@ -3,7 +3,7 @@ level of detection, and the volumes above it.
 
 A bare cloud tells its noise. What else two surveys differ by, as registration, calibration and
 navigation, is told where nothing changed: by how far means of cells lie apart there
-(:func:`~ladar_volume.clouds.sampling.pair_registration.unchanged_part`). It enters the level of
+(:func:`~ladar_volume.clouds.sampling.pair_registration.unchanged_cells`). It enters the level of
 detection, and the sigma of thresholded volumes.
 """
 

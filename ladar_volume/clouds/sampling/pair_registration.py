@@ -86,11 +86,6 @@ def cell_means(tin: Tin, cells: int = CELLS) -> CellMeans:
     return CellMeans(mean[full], own[full], numbers[full], low, side)
 
 
-def unchanged_part(tin: Tin) -> UnchangedPart | None:
-    """The part of a difference surface that did not change; None for too few cells."""
-    return unchanged_cells(cell_means(tin))
-
-
 def unchanged_cells(cells: CellMeans) -> UnchangedPart | None:
     """The part of cells that did not change: about the shortest interval that holds a quarter of
     them. None for too few.
