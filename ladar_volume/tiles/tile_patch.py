@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.space_curve import radix_order
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box, read, write
@@ -67,18 +68,22 @@ def patch_of(
     """
     side, own = of.index.cloud.tile_m, int(np.count_nonzero(surface.own))
     width = min(side, WIDTH * edges * side / max(own, 1) ** 0.5)
+    i, j = tile
+    box = (i * side - width, j * side - width, (i + 1) * side + width, (j + 1) * side + width)
+    parts = [whole_part(surface, inside_of(surface, tile, folder))]
+    parts += parts_beside(of, tile, box, folder)
+    asked = np.zeros((0, 2))
     while True:
-        i, j = tile
-        box = (i * side - width, j * side - width, (i + 1) * side + width, (j + 1) * side + width)
-        first = whole_part(surface, inside_of(surface, tile, folder))
-        parts = [first, *parts_beside(of, tile, box, folder)]
-        patch, complete = joined(parts, box)
+        patch, complete = joined(parts, box, asked)
         marked = np.zeros(len(complete), np.bool_)
         marked[patch.own] = True
         grow_kernel(patch.tin.triangles, marked, edges)
-        if complete[marked].all():
+        missing = patch.tin.vertices[marked & ~complete, :2]
+        if not len(missing):
             return patch
-        width *= 2.0
+        # long triangles on the hull lead far out of the box: their corners alone, not all on the way
+        parts += parts_at(of, missing, folder)
+        asked = np.concatenate([asked, missing])
 
 
 def whole_part(surface: TileSurface, inside: Bool) -> SurfacePart:
@@ -104,16 +109,34 @@ def parts_beside(
         if other == tile:
             continue
         s = surface_of(of.index, of.limits, other)
-        some = any_corner(s.tin.triangles, s.own & in_box(s.tin.vertices, box))
-        if not some.any():
-            continue
-        corners = np.unique(s.tin.triangles[some]).astype(np.int64)
-        triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
-        inside = inside_of(s, other, folder)[some]
-        none = np.zeros(len(triangles), np.bool_)
-        yield SurfacePart(
-            s.tin.vertices[corners], triangles, s.shared[corners], s.own[corners], none, inside
-        )
+        marked = s.own & in_box(s.tin.vertices, box)
+        if marked.any():
+            yield part_round(s, inside_of(s, other, folder), marked)
+
+
+def parts_at(of: TiledCloud, xy: F64, folder: Path | None) -> Iterator[SurfacePart]:
+    """What the tiles that places (n, 2) m lie in have round the vertices there."""
+    cells = np.floor(xy / of.index.cloud.tile_m).astype(np.int64)
+    for i, j in np.unique(cells, axis=0).tolist():
+        s = surface_of(of.index, of.limits, (i, j))
+        own = np.flatnonzero(s.own)
+        at = rows_at(s.tin.vertices[own], xy[(cells == (i, j)).all(axis=1)])
+        marked = np.zeros(len(s.own), np.bool_)
+        marked[own[at]] = True
+        yield part_round(s, inside_of(s, (i, j), folder), marked)
+
+
+def part_round(s: TileSurface, inside: Bool, marked: Bool) -> SurfacePart:
+    """What a tile beside has round marked vertices (n,) of its own. inside : (m,) its triangles
+    within the outline
+    """
+    some = any_corner(s.tin.triangles, marked)
+    corners = np.unique(s.tin.triangles[some]).astype(np.int64)
+    triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
+    none = np.zeros(len(triangles), np.bool_)
+    return SurfacePart(
+        s.tin.vertices[corners], triangles, s.shared[corners], s.own[corners], none, inside[some]
+    )
 
 
 def tiles_in(index: TilePoints, box: Box) -> list[Tile]:
@@ -128,9 +151,12 @@ def tiles_in(index: TilePoints, box: Box) -> list[Tile]:
     return [t for t, b in near if b[0] <= x1 and b[2] >= x0 and b[1] <= y1 and b[3] >= y0]
 
 
-def joined(parts: list[SurfacePart], box: Box) -> tuple[TilePatch, Bool]:
+def joined(
+    parts: list[SurfacePart], box: Box, asked: F64 = np.zeros((0, 2))
+) -> tuple[TilePatch, Bool]:
     """One surface of parts, the first of which is that of the tile; and round which of its vertices
-    (n,) all triangles are known: those of other tiles within the box, and all of its own.
+    (n,) all triangles are known: those of other tiles within the box and at the places ``asked``
+    for (k, 2) m, and all of its own.
     """
     xyz = np.concatenate([p.vertices for p in parts])
     _, first, place = np.unique(names_of(xyz), return_index=True, return_inverse=True)
@@ -153,6 +179,7 @@ def joined(parts: list[SurfacePart], box: Box) -> tuple[TilePatch, Bool]:
     tin = Tin(vertices, triangles, across, inside, np.full(len(first), -1))
     own = place[: start[1]][parts[0].own].astype(np.int64)
     complete = in_box(vertices, box)
+    complete[rows_at(vertices, asked)] = True
     complete[own] = True
     return TilePatch(tin, shared, own, counted, inside), complete
 
@@ -163,11 +190,12 @@ def across_sides(triangles: I32, n: int) -> I32:
     """
     a, b = (triangles[:, [k, (k + 1) % 3, (k + 2) % 3]].astype(np.int64) for k in (1, 2))
     side = (np.minimum(a, b) * n + np.maximum(a, b)).reshape(-1)
-    return np.asarray(pair_kernel(side, np.argsort(side, kind="stable")))
+    order = radix_order(side.astype(np.uint64), (n * n).bit_length())
+    return np.asarray(pair_kernel(side, order))
 
 
 @kernel
-def pair_kernel(side: I64, order: I64) -> I32:
+def pair_kernel(side: I64, order: I32) -> I32:
     """See :func:`across_sides`: names (3 m,) of the sides, and their order."""
     out = np.full((len(side) // 3, 3), -1, np.int32)
     for i in range(len(order) - 1):

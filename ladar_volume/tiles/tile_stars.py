@@ -69,16 +69,22 @@ def places(points: F64) -> F64:
 
 
 @kernel
-def circle_intruders(corners: F64, points: F64, known: Bool, w: F64) -> I64:
-    """For each triangle, corners (m, 3, 2) counter-clockwise, the point (k, 2) that lies deepest in
-    its circumcircle or on it, known ones (k,) left aside: (m,), -1 for none.
+def circle_intruders(corners: F64, reach: F64, points: F64, known: Bool, w: F64) -> I64:
+    """For each triangle, corners (m, 3, 2) counter-clockwise, the point (k, 2), ascending by x,
+    that lies deepest in its circumcircle or on it, known ones (k,) left aside: (m,), -1 for none.
+    reach : (m, 4) the box of each circle, NaN where that is not known
     """
     xy, out = np.empty((4, 2)), np.full(len(corners), -1, np.int64)
     for t in range(len(corners)):
         xy[:3] = corners[t]
-        most = -1.0
-        for p in range(len(points)):
-            if known[p]:
+        most, first = -1.0, 0
+        x0, y0, x1, y1 = reach[t, 0], reach[t, 1], reach[t, 2], reach[t, 3]
+        if x0 == x0:
+            first = np.searchsorted(points[:, 0], x0)
+        for p in range(first, len(points)):
+            if points[p, 0] > x1:
+                break
+            if known[p] or points[p, 1] < y0 or points[p, 1] > y1:
                 continue
             xy[3] = points[p]
             depth = incircle(xy, 0, 1, 2, 3, w)
@@ -173,7 +179,7 @@ def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
     flat = np.flatnonzero(np.isnan(r[:, 0]))
     near[flat] = [meets(sides.corners[t], box) for t in flat.tolist()]
     found = [
-        circle_intruders(np.ascontiguousarray(sides.corners[near]), xy, known, w),
+        circle_intruders(np.ascontiguousarray(sides.corners[near]), r[near], xy, known, w),
         hull_intruders(np.ascontiguousarray(sides.ends), xy, known, w),
     ]
     rows = np.unique(np.concatenate(found))
