@@ -81,7 +81,7 @@ def patch_of(
         missing = patch.tin.vertices[marked & ~complete, :2]
         if not len(missing):
             return patch
-        # long triangles on the hull lead far out of the box: their corners alone, not all on the way
+        # long triangles on the hull lead far out of the box: fetch what meets their corners
         parts += parts_at(of, missing, folder)
         asked = np.concatenate([asked, missing])
 
@@ -151,9 +151,7 @@ def tiles_in(index: TilePoints, box: Box) -> list[Tile]:
     return [t for t, b in near if b[0] <= x1 and b[2] >= x0 and b[1] <= y1 and b[3] >= y0]
 
 
-def joined(
-    parts: list[SurfacePart], box: Box, asked: F64 = np.zeros((0, 2))
-) -> tuple[TilePatch, Bool]:
+def joined(parts: list[SurfacePart], box: Box, asked: F64) -> tuple[TilePatch, Bool]:
     """One surface of parts, the first of which is that of the tile; and round which of its vertices
     (n,) all triangles are known: those of other tiles within the box and at the places ``asked``
     for (k, 2) m, and all of its own.

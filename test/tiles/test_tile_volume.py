@@ -16,8 +16,11 @@ from tiled_clouds import (
 
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
+from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_patch import patch_of
 from ladar_volume.tiles.tile_store import parts_of_file, tile_index
-from ladar_volume.tiles.tile_surface import Limits, surface_path
+from ladar_volume.tiles.tile_surface import Limits, surface_of, surface_path
+from ladar_volume.volume.neighbourhood import grow_kernel
 
 
 @pytest.mark.parametrize("kind", [random, gridded, clustered, on_lines], ids=lambda k: k.__name__)
@@ -37,6 +40,25 @@ def test_a_plane_and_a_longest_edge(tmp_path):
     _, whole = at_once(path, "edge", 1.5, base="plane", plane=(9.0, 0.02, 0.01))
     asked = {"limits": Limits("edge", max_edge_m=1.5), "base": "plane", "plane": (9.0, 0.02, 0.01)}
     same(by_tiles(path, tmp_path / "store", 11.0, **asked).volume, whole)
+
+
+def test_the_surface_around_a_tile_is_that_of_all_points_and_no_larger_than_it_must_be(tmp_path):
+    # the triangles on the hull are long, and led tiles there to join the whole survey
+    path = write(tmp_path / "cloud.las", random(30_000, np.random.default_rng(3)))
+    of = TiledCloud(by_tiles(path, tmp_path / "store", 8.0).index, Limits())
+    whole = at_once(path)[0].representation.tin
+    names = np.ascontiguousarray(whole.vertices[:, :2]).view(np.complex128).reshape(-1)
+    for tile in (of.tiles[0], of.tiles[len(of.tiles) // 2], of.tiles[-1]):
+        patch = patch_of(of, tile, surface_of(of.index, of.limits, tile), None, 6)
+        xy = np.ascontiguousarray(patch.tin.vertices[:, :2])
+        own = xy[patch.own].view(np.complex128).reshape(-1)
+        expected, found = np.isin(names, own), np.zeros(len(xy), np.bool_)
+        found[patch.own] = True
+        grow_kernel(whole.triangles, expected, 6)
+        grow_kernel(patch.tin.triangles, found, 6)
+        near = np.unique(xy[found].view(np.complex128))
+        assert np.array_equal(near, np.unique(names[expected]))
+        assert len(xy) < len(names) // 8
 
 
 def test_few_points_far_apart(tmp_path):
