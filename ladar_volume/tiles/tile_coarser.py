@@ -148,7 +148,7 @@ def coarser_around(kept: KeptPoints, tiles: list[Tile]) -> tuple[Tin, F64]:
         vertices, triangles = (read(kept.folder, n, tile) for n in ("vertices", "triangles"))
         none, every = np.zeros(len(vertices), np.bool_), np.ones(len(triangles), np.bool_)
         parts.append(SurfacePart(vertices, triangles, none.astype(float), none, ~every, every))
-    patch, _ = joined(parts, (0.0, 0.0, 0.0, 0.0), np.zeros((0, 2)))
+    patch, _ = joined(parts)
     return patch.tin, np.concatenate([read(kept.folder, "hull", tile) for tile in tiles])
 
 

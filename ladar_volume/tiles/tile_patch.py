@@ -13,12 +13,13 @@ import numpy.typing as npt
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.space_curve import radix_order
+from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box, read, write
 from ladar_volume.tiles.tile_stars import TilePoints
 from ladar_volume.tiles.tile_store import Tile
-from ladar_volume.tiles.tile_surface import TileSurface, surface_of
+from ladar_volume.tiles.tile_surface import TileSurface, surface_of, surface_path
 from ladar_volume.tin.full_tin import any_corner, places_in
 from ladar_volume.volume.neighbourhood import grow_kernel
 
@@ -43,14 +44,14 @@ class TilePatch:
 
 @dataclass(frozen=True)
 class SurfacePart:
-    """Triangles (m, 3) of one tile over vertices (n, 3) m, points at each, which of them are the
-    tile's own (n,), and which triangles count in it and lie within the outline (m,).
+    """Triangles (m, 3) of one tile over vertices (n, 3) m, points at each, round which of them all
+    triangles are here (n,), and which triangles count in it and lie within the outline (m,).
     """
 
     vertices: F64
     triangles: I32
     shared: F64
-    own: Bool
+    complete: Bool
     counted: Bool
     inside: Bool
 
@@ -72,9 +73,8 @@ def patch_of(
     box = (i * side - width, j * side - width, (i + 1) * side + width, (j + 1) * side + width)
     parts = [whole_part(surface, inside_of(surface, tile, folder))]
     parts += parts_beside(of, tile, box, folder)
-    asked = np.zeros((0, 2))
     while True:
-        patch, complete = joined(parts, box, asked)
+        patch, complete = joined(parts)
         marked = np.zeros(len(complete), np.bool_)
         marked[patch.own] = True
         grow_kernel(patch.tin.triangles, marked, edges)
@@ -83,7 +83,6 @@ def patch_of(
             return patch
         # long triangles on the hull lead far out of the box: fetch what meets their corners
         parts += parts_at(of, missing, folder)
-        asked = np.concatenate([asked, missing])
 
 
 def whole_part(surface: TileSurface, inside: Bool) -> SurfacePart:
@@ -115,12 +114,18 @@ def parts_beside(
 
 
 def parts_at(of: TiledCloud, xy: F64, folder: Path | None) -> Iterator[SurfacePart]:
-    """What the tiles that places (n, 2) m lie in have round the vertices there."""
+    """What the tiles that places (n, 2) m lie in have round the vertices there. Raises
+    :class:`InputError` where a tile at rest has none.
+    """
     cells = np.floor(xy / of.index.cloud.tile_m).astype(np.int64)
     for i, j in np.unique(cells, axis=0).tolist():
         s = surface_of(of.index, of.limits, (i, j))
         own = np.flatnonzero(s.own)
         at = rows_at(s.tin.vertices[own], xy[(cells == (i, j)).all(axis=1)])
+        if (at < 0).any():
+            path = surface_path(of.index, of.limits, (i, j))
+            words = f"{path}: not the surface of its tile: delete it and run again"
+            raise InputError(words, reason="input_unreadable", value=str(path))
         marked = np.zeros(len(s.own), np.bool_)
         marked[own[at]] = True
         yield part_round(s, inside_of(s, (i, j), folder), marked)
@@ -135,7 +140,7 @@ def part_round(s: TileSurface, inside: Bool, marked: Bool) -> SurfacePart:
     triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
     none = np.zeros(len(triangles), np.bool_)
     return SurfacePart(
-        s.tin.vertices[corners], triangles, s.shared[corners], s.own[corners], none, inside[some]
+        s.tin.vertices[corners], triangles, s.shared[corners], marked[corners], none, inside[some]
     )
 
 
@@ -151,10 +156,9 @@ def tiles_in(index: TilePoints, box: Box) -> list[Tile]:
     return [t for t, b in near if b[0] <= x1 and b[2] >= x0 and b[1] <= y1 and b[3] >= y0]
 
 
-def joined(parts: list[SurfacePart], box: Box, asked: F64) -> tuple[TilePatch, Bool]:
+def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
     """One surface of parts, the first of which is that of the tile; and round which of its vertices
-    (n,) all triangles are known: those of other tiles within the box and at the places ``asked``
-    for (k, 2) m, and all of its own.
+    (n,) all triangles are known.
     """
     xyz = np.concatenate([p.vertices for p in parts])
     _, first, place = np.unique(names_of(xyz), return_index=True, return_inverse=True)
@@ -175,10 +179,9 @@ def joined(parts: list[SurfacePart], box: Box, asked: F64) -> tuple[TilePatch, B
     vertices, shared = xyz[first], np.concatenate([p.shared for p in parts])[first]
     across = across_sides(triangles, len(first))
     tin = Tin(vertices, triangles, across, inside, np.full(len(first), -1))
-    own = place[: start[1]][parts[0].own].astype(np.int64)
-    complete = in_box(vertices, box)
-    complete[rows_at(vertices, asked)] = True
-    complete[own] = True
+    own = place[: start[1]][parts[0].complete].astype(np.int64)
+    complete = np.zeros(len(first), np.bool_)
+    complete[place[np.concatenate([p.complete for p in parts])]] = True
     return TilePatch(tin, shared, own, counted, inside), complete
 
 

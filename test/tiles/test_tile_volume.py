@@ -1,5 +1,7 @@
 """The volume by tiles against that of one triangulation of all points."""
 
+import shutil
+
 import laspy
 import numpy as np
 import pytest
@@ -59,6 +61,13 @@ def test_the_surface_around_a_tile_is_that_of_all_points_and_no_larger_than_it_m
         near = np.unique(xy[found].view(np.complex128))
         assert np.array_equal(near, np.unique(names[expected]))
         assert len(xy) < len(names) // 8
+    first = of.tiles[0]
+    for tile in of.tiles[1:]:  # what lies at rest is that of another tile
+        shutil.copy(
+            surface_path(of.index, of.limits, first), surface_path(of.index, of.limits, tile)
+        )
+    with pytest.raises(InputError, match="delete it and run again"):
+        patch_of(of, first, surface_of(of.index, of.limits, first), None, 6)
 
 
 def test_few_points_far_apart(tmp_path):
