@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.math.kernels import kernel
-from ladar_volume.math.space_curve import radix_order
+from ladar_volume.clouds.given_faces import neighbours_of
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
@@ -177,34 +176,11 @@ def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
         np.concatenate([getattr(p, name) for p in parts])[some] for name in ("counted", "inside")
     )
     vertices, shared = xyz[first], np.concatenate([p.shared for p in parts])[first]
-    across = across_sides(triangles, len(first))
-    tin = Tin(vertices, triangles, across, inside, np.full(len(first), -1))
+    tin = Tin(vertices, triangles, neighbours_of(triangles), inside, np.full(len(first), -1))
     own = place[: start[1]][parts[0].complete].astype(np.int64)
     complete = np.zeros(len(first), np.bool_)
     complete[place[np.concatenate([p.complete for p in parts])]] = True
     return TilePatch(tin, shared, own, counted, inside), complete
-
-
-def across_sides(triangles: I32, n: int) -> I32:
-    """The triangle across the side opposite each corner of triangles (m, 3) over n vertices, (m,
-    3): -1 where there is none.
-    """
-    a, b = (triangles[:, [k, (k + 1) % 3, (k + 2) % 3]].astype(np.int64) for k in (1, 2))
-    side = (np.minimum(a, b) * n + np.maximum(a, b)).reshape(-1)
-    order = radix_order(side.astype(np.uint64), (n * n).bit_length())
-    return np.asarray(pair_kernel(side, order))
-
-
-@kernel
-def pair_kernel(side: I64, order: I32) -> I32:
-    """See :func:`across_sides`: names (3 m,) of the sides, and their order."""
-    out = np.full((len(side) // 3, 3), -1, np.int32)
-    for i in range(len(order) - 1):
-        a, b = order[i], order[i + 1]
-        if side[a] == side[b]:
-            out[a // 3, a % 3] = b // 3
-            out[b // 3, b % 3] = a // 3
-    return out
 
 
 def names_of(xy: F64) -> C128:
