@@ -118,6 +118,12 @@ def with_sigmas_alone(source: Source) -> Source:
     return dataclasses.replace(source, cloud=dataclasses.replace(source.cloud, columns=kept))
 
 
+def without_places(source: Source) -> Source:
+    """A file of which only the number of its points is known, and what was said of them."""
+    places = np.broadcast_to(np.nan, source.cloud.r.shape)
+    return dataclasses.replace(source, cloud=dataclasses.replace(source.cloud, r=places))
+
+
 def frame_of(arguments: argparse.Namespace, sources: list[Source]) -> Frame | None:
     """The frame of all clouds; None for the map's own. Raises :class:`ConfigurationError` for
     options without their frame.

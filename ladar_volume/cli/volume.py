@@ -43,6 +43,7 @@ from ladar_volume.cli.surface_options import (
     surface_facts,
     surface_options,
     with_sigmas_alone,
+    without_places,
 )
 from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import exit_code
@@ -109,7 +110,8 @@ class VolumeTask:
     in which the surfaces are, or None for the map's own · correct : whether cut and fill are
     corrected near the base · shared_errors : errors that heights share · flight : parameters of the
     trajectory, None without one · outlines : of piles, None to find them · progress : takes what is
-    being done, in words
+    being done, in words · points_let_go : whether nothing needs the points of the files once the
+    surfaces are made: they take memory
     """
 
     arguments: argparse.Namespace
@@ -123,6 +125,7 @@ class VolumeTask:
     flight: Parameters | None = None
     outlines: Outlines | None = None
     progress: Callable[[str], None] = lambda words: None
+    points_let_go: bool = False
 
 
 @dataclass(frozen=True)
@@ -163,7 +166,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_workers(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        task, wanted = task_of(arguments), wanted_files(arguments)
+        wanted = wanted_files(arguments)
+        task = dataclasses.replace(task_of(arguments), points_let_go=wanted is None)
         sources = read_sources(arguments)
         system_of_files(arguments, sources)  # refuses units that files cannot have
         result = result_of(task, sources, status.update)
@@ -226,7 +230,9 @@ class VolumeResult:
 def result_of(
     task: VolumeTask, sources: list[Source], progress: Callable[[str], None]
 ) -> VolumeResult:
-    """The volume of one or two sources, with its verdict."""
+    """The volume of one or two sources, with its verdict. Their points are let go of where the task
+    says so.
+    """
     doubts = reading_doubts(clouds_of(sources))
     if task.arguments.frame == "scan":
         progress("turning into the scan frame")
@@ -237,6 +243,8 @@ def result_of(
     flown = flown_of(task.arguments, sources, task.flight)
     doubts += flown.doubts
     surfaces = flown.onto(make_surfaces(task, sources, progress))
+    if task.points_let_go:
+        sources[:] = [without_places(source) for source in sources]
     progress("cut and fill")
     facts, found = compute_volume(task, surfaces)
     clean = stray_facts(task, sources, surfaces, found)
@@ -523,14 +531,10 @@ def stray_facts(
     """
     strays = sum(len(s.strays) for s in surfaces)
     effect = 0.0
-    for sign, source, surface, mask in zip(
-        (1.0, -1.0), sources, surfaces, found.counted, strict=False
-    ):
+    for sign, surface, mask in zip((1.0, -1.0), surfaces, found.counted, strict=False):
         if len(surface.strays):
-            r = source.cloud.r[surface.strays]
-            r = r if task.frame is None else task.frame.points(r)
-            area = counted_areas(surface, mask)
-            effect += sign * stray_effect(surface.representation.tin, area, r, found.level_base)
+            tin, area = surface.representation.tin, counted_areas(surface, mask)
+            effect += sign * stray_effect(tin, area, surface.stray_points, found.level_base)
     return {
         "how": task.arguments.clean,
         "strays": strays,

@@ -158,7 +158,7 @@ def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, flo
     if every < 2 or not math.isfinite(side):
         return inside, 1.0
     low, _ = raster_of(xy, side)
-    first = first_corners(np.ascontiguousarray(tin.vertices[:, :2]), tin.triangles)
+    first = first_corners(tin.vertices, tin.triangles)
     # asked of the vertices: there are half as many as triangles
     kept = np.where(chosen_squares(xy, low, side, every)[first], inside, 0.0)
     return kept, float(kept.sum() / inside.sum())

@@ -30,6 +30,7 @@ from ladar_volume.math.nearest import (
     search_part,
 )
 from ladar_volume.math.own_axes import along_own_axes
+from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.tin.insertion_order import hilbert_order
@@ -277,15 +278,15 @@ def clean(points: F64) -> CleaningResult:
 def _clean_near(points: F64) -> CleaningResult:
     """Points (n, 3), m, none of them far from all others."""
     everything = np.arange(len(points), dtype=np.int64)
-    try:
-        noise = cloud_noise(points) if len(points) >= FEWEST else None
-    except SurfaceError:
-        noise = None
+    if len(points) < FEWEST:
+        return CleaningResult(everything, everything[:0], 0)
+    # parallel kernels in this thread, whose workers wait for it
+    (order, r, isolated), noise = run_concurrently(
+        lambda: in_order_of_place(points), lambda: noise_if_told(points)
+    )
     if noise is None:
         return CleaningResult(everything, everything[:0], 0)
-    # neighbours in space are neighbours in memory: the searches take half the time
-    order = hilbert_order(points[:, :2])
-    isolated, stray = find_strays((points - np.round(points.mean(axis=0)))[order], noise)
+    stray = find_strays(r, isolated, noise)
     strays = np.sort(order[stray]).astype(np.int64)
     good = np.ones(len(points), bool)
     good[strays] = False
@@ -293,11 +294,28 @@ def _clean_near(points: F64) -> CleaningResult:
     return CleaningResult(np.flatnonzero(good), strays, alone, noise)
 
 
-def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
-    """Which of points r (n, 3), m, are isolated, and which are strays."""
-    r = np.column_stack([along_own_axes(r[:, :2]), r[:, 2]])
+def noise_if_told(points: F64) -> CloudNoise | None:
+    """The noise of points (n, 3), m; None where they do not tell it."""
+    try:
+        return cloud_noise(points)
+    except SurfaceError:
+        return None
+
+
+def in_order_of_place(points: F64) -> tuple[I64, F64, Bool]:
+    """Rows (n,) of points (n, 3), m, such that neighbours in space are neighbours in memory: the
+    searches take half the time. Then, in that order, the points about their middle along their own
+    axes, and whether each is isolated.
+    """
+    order = hilbert_order(points[:, :2])
+    r = (points - np.round(points.mean(axis=0)))[order]
+    r[:, :2] = along_own_axes(r[:, :2])
+    return order, r, isolated_points(r, r * [1.0, 1.0, 0.0])
+
+
+def find_strays(r: F64, isolated: Bool, noise: CloudNoise) -> Bool:
+    """Which of points r (n, 3), m, along their own axes, are strays; isolated : (n,)."""
     everything, flat = np.arange(len(r), dtype=np.int64), r * [1.0, 1.0, 0.0]
-    isolated = isolated_points(r, flat)
     cells = CELL * spacings(r[:, :2]) if noise.on_lines > LINES else None
     sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r, axis=0).max()))
     limits = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
@@ -318,4 +336,4 @@ def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
         chosen = chosen[nearest(gone, flat[chosen], 1)[1] <= far]
         if not len(chosen):
             break
-    return isolated, ~good
+    return ~good

@@ -225,8 +225,7 @@ def cloud_noise(points: F64) -> CloudNoise:
     floor = step / math.sqrt(12.0)
     chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), MOST_FITS)).astype(np.int64))
     residual, narrow = fit_residuals(own, neighbours(own, np.arange(len(own)), chosen), chosen)
-    spacing = spacings(own[:, :2])[chosen]
-    cells = common_cells(CELL * spacing)
+    cells = common_cells(CELL * spacings(own[:, :2], chosen))
     lines = 0.0
     for cell in np.unique(cells[np.isfinite(cells)]).tolist():
         kept = thin_by_cells(own, cell)

@@ -29,6 +29,10 @@ from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.uncertainty.shared_heights import shared_variances
 
+#: Share of strays that moves the noise by less than a thousandth: each is a neighbour in eighteen
+#: fits, of which those beyond three standard deviations do not count.
+UNMOVED = 1e-4
+
 
 @dataclass(frozen=True)
 class CloudSurface:
@@ -37,7 +41,8 @@ class CloudSurface:
     sigma_from : where these come from, in words · outliers : (k,) rows of the cloud that the screen
     deleted or the median filter changed · representation : the surface, its ``source`` numbering
     ``points`` · strays : (s,) rows of the cloud that are none of its surface, left out · copies :
-    points left out because another has the same coordinates · given_faces : the faces of a mesh
+    points left out because another has the same coordinates · stray_points : (s, 3) m, where the
+    strays are · given_faces : the faces of a mesh
     that it is, None for a cloud · doubts : what makes it doubtful · shared_errors : errors that
     neighbouring heights share · flight : calibration and navigation of the points, where their
     trajectory is known · standing : (k,) rows of the cloud that stand on its surface, left out ·
@@ -52,6 +57,7 @@ class CloudSurface:
     representation: RepresentedSurface
     strays: I64 = field(default_factory=lambda: np.zeros(0, np.int64))
     copies: int = 0
+    stray_points: F64 = field(default_factory=lambda: np.zeros((0, 3)))
     given_faces: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
     shared_errors: tuple[HeightError, ...] = ()
@@ -155,11 +161,14 @@ def cloud_surface(
         cloud,
         sigma_m[index] if isinstance(sigma_m, np.ndarray) and sigma_m.ndim else sigma_m,
         sigma_from,
-        # that of the very same points is known
-        cleaned.noise if not len(strays) and not len(changed) else None,
+        # so few strays did not move it
+        cleaned.noise if len(strays) <= UNMOVED * len(points) and not len(changed) else None,
     )
     made = represent(cloud, options, sigma)
-    return CloudSurface(cloud, index, sigma, words, changed, made, np.sort(strays), copies)
+    strays = np.sort(strays)
+    return CloudSurface(
+        cloud, index, sigma, words, changed, made, strays, copies, stray_points=points[strays]
+    )
 
 
 def screen_points(

@@ -144,12 +144,13 @@ def has_selected_vertices(surface: CloudSurface) -> bool:
     return int(np.count_nonzero(made.tin.source >= 0)) < footprints
 
 
-def comes_near(tin: Tin, height: F64, sigma_m: F64 | None, mask: Bool) -> bool:
-    """Whether any triangle of the mask (m,) with vertex heights (n,) above the base could lie
-    within reach of the noise.
+def comes_near(tin: Tin, base: Plane, sigma_m: F64 | None, mask: Bool) -> bool:
+    """Whether any triangle of the mask (m,) could lie within reach of the noise above or below the
+    base.
     """
     if sigma_m is None or not sigma_m.any():
         return False
+    height = height_above(tin.vertices, base)
     reach, t = REACH * float(sigma_m.max()), tin.triangles[mask]
     return bool((any_corner(t, height <= reach) & any_corner(t, height >= -reach)).any())
 
@@ -171,6 +172,7 @@ def above_base(
     variance = np.zeros(len(tin.vertices)) if C is None else C.diagonal()
     base, inside = ground_and_outline(tin, variance, parameters)
     solid = solid_above(surface, base, inside, parameters, variance, correct, C)
+    del C, variance  # what follows needs the memory
     return (
         corrected_volume(solid, base_name(parameters), parameters.volume.base == "ground"),
         base,
@@ -224,8 +226,7 @@ def solid_above(
     near, curved = None, 0.0
     # a triangle that the outline cuts is left uncorrected
     whole = whole_triangles(tin, inside) if by_polygon else mask
-    height = height_above(tin.vertices, base)
-    if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
+    if correct and surface.sigma_m is not None and comes_near(tin, base, surface.sigma_m, whole):
         C = surface.representation.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole, selected=has_selected_vertices(surface))
         curved = near.variance_m6
@@ -287,7 +288,7 @@ def near_difference(
     )
     apart = difference(one, two)
     sigma = np.array([math.hypot(upper.sigma_m.max(), lower.sigma_m.max())])
-    if not comes_near(apart.tin, apart.tin.vertices[:, 2], sigma, apart.tin.relevant):
+    if not comes_near(apart.tin, ZERO, sigma, apart.tin.relevant):
         return None, ()
     C_one, C_two = (
         upper.representation.covariance(upper.sigma_m)[first][:, first],

@@ -145,7 +145,9 @@ def fit_ground(
         if select is None
         else np.asarray(select, dtype=np.int64)
     )
-    p, variance = points[chosen], variance[chosen]
+    p = points
+    if not np.array_equal(chosen, np.arange(len(points))):  # all are not copied: for memory
+        p, variance = points[chosen], variance[chosen]
     check_points(p, variance, parameters.degree)
     step = max(1, len(p) // SEARCHED_POINTS)
     plane = search_surface(p[::step], variance[::step], parameters, coarse_m)

@@ -312,5 +312,5 @@ def tile_stars(index: TilePoints, tile: Tile) -> TileStars:
         if around.halo < around.side:
             around.halo = min(2.0 * around.halo, around.side)
             around.take_halo()
-    first = first_corners(np.ascontiguousarray(tin.vertices[:, :2]), tin.triangles)
+    first = first_corners(tin.vertices, tin.triangles)
     return TileStars(tin, known[tin.source, 3], mine, star, mine[first], rounds)

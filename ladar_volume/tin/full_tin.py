@@ -107,13 +107,13 @@ def any_corner(triangles: I32, chosen: Bool) -> Bool:
 
 
 @kernel
-def first_corners(xy: F64, triangles: I32) -> I64:
-    """The first vertex of each triangle by x, then y, (m,)."""
+def first_corners(vertices: F64, triangles: I32) -> I64:
+    """The first vertex, of (n, 2) or (n, 3), of each triangle (m,) by x, then y."""
     out = np.empty(len(triangles), np.int64)
     for t in range(len(triangles)):
         first = triangles[t, 0]
         for c in range(1, 3):
-            if precedes(xy, triangles[t, c], first):
+            if precedes(vertices, triangles[t, c], first):
                 first = triangles[t, c]
         out[t] = first
     return out

@@ -97,13 +97,16 @@ def beside_full_blocks(raster: Bool) -> Bool:
     return out
 
 
-def in_filled_cells(xy: F64, extent: tuple[F64, F64], size: float) -> Bool:
-    """Whether each of places (n, 2) m, between coordinates (2,), lies in, or beside, a block of
-    three by three cells of a raster that all hold one of them; cells of ``size``.
+def in_filled_cells(
+    xy: F64, extent: tuple[F64, F64], size: float, rows: I64 | slice = slice(None)
+) -> Bool:
+    """Whether each of places (n, 2) m, between coordinates (2,), or of some rows (k,) of them, lies
+    in, or beside, a block of three by three cells of a raster that all hold one of them; cells of
+    ``size``.
     """
     low, count = raster_between(extent, size)
     raster = np.zeros(count + 4, bool)
-    cells = fill_cells(xy, low, size, raster)
+    cells = fill_cells(xy, low, size, raster)[rows]
     out: Bool = beside_full_blocks(raster).reshape(-1)[cells]
     return out
 
@@ -123,17 +126,17 @@ def cell_sizes(some: F64, count: int, extent: tuple[F64, F64]) -> list[float]:
     return sizes
 
 
-def spacings(xy: F64) -> F64:
-    """How far apart points (n, 2) m lie around each, across scan lines as along them, (n,) m:
-    infinite where nothing around them is filled, and for fewer than :data:`FEWEST`. The raster lies
-    along the points' own axes.
+def spacings(xy: F64, rows: I64 | slice = slice(None)) -> F64:
+    """How far apart points (n, 2) m lie around each, or around some rows (k,) of them, across scan
+    lines as along them, m: infinite where nothing around them is filled, and for fewer than
+    :data:`FEWEST`. The raster lies along the points' own axes.
     """
     if len(xy) < FEWEST:
-        return np.full(len(xy), np.inf)
+        return np.full(len(xy), np.inf)[rows]
     xy = along_own_axes(xy)
     extent = extent_of(xy)
     sizes = cell_sizes(xy[:: max(1, len(xy) // SAMPLED)], len(xy), extent)
-    return lasting_sizes([in_filled_cells(xy, extent, size) for size in sizes], sizes)
+    return lasting_sizes([in_filled_cells(xy, extent, size, rows) for size in sizes], sizes)
 
 
 def lasting_sizes(filled: list[Bool], sizes: list[float]) -> F64:
@@ -161,11 +164,9 @@ def corner_range(values: F64, triangles: I32) -> tuple[F64, F64]:
 
 
 @kernel
-def peel_kernel(
-    vertices: F64, triangles: I32, neighbours: I32, limit: F64, area: F64, depth: F64
-) -> I64:
+def peel_kernel(vertices: F64, triangles: I32, neighbours: I32, spacing: F64, area: F64) -> I64:
     """See :func:`peel_gaps`: the side of the hull (a number from 0) behind which each triangle (m,)
-    goes, -1 where it stays.
+    goes, -1 where it stays. spacing : (m,) m, that of the triangles
     """
     m = len(neighbours)
     out, stack = np.full(m, -1, np.int64), np.empty(3 * m + 3, np.int64)
@@ -175,7 +176,7 @@ def peel_kernel(
             if neighbours[first, k] >= 0 or out[first] >= 0:
                 continue
             length = side_length(vertices, triangles, first, k)
-            if not length > limit[first]:
+            if not length > LONG * spacing[first]:
                 continue
             out[first], stack[0], top, taken, done = sides, first, 1, 0, 0
             queue = [first]
@@ -187,14 +188,14 @@ def peel_kernel(
                     o = neighbours[t, j]
                     if o < 0 or out[o] >= 0:
                         continue
-                    if side_length(vertices, triangles, t, j) > limit[o]:
+                    if side_length(vertices, triangles, t, j) > LONG * spacing[o]:
                         out[o], stack[top] = sides, o
                         queue.append(o)
                         top += 1
             total, deep = 0.0, 0.0
             for t in queue:
                 total += area[t]
-                deep += area[t] * depth[t]
+                deep += area[t] * (DEEP * spacing[t])
             if not total * total > deep * length:
                 for t in queue:
                     out[t] = -2 - sides  # too shallow: another side may still reach it
@@ -203,15 +204,14 @@ def peel_kernel(
     return out
 
 
-def peel_gaps(tin: Tin, spacing_m: F64) -> Bool:
+def peel_gaps(tin: Tin, spacing_m: F64, area: F64) -> Bool:
     """Triangles (m,) of a full TIN that are open notches and gaps: reached from a side of the hull
     through sides that are long against the spacing, where what lies behind that side of the hull is
-    in the mean deeper than the spacing. spacing_m : (n,) of the vertices.
+    in the mean deeper than the spacing. spacing_m : (n,) of the vertices · area : (m,) m²
     """
     # between points that show no spacing nothing stands in the way
-    at, _ = corner_range(np.where(np.isfinite(spacing_m), spacing_m, 0.0), tin.triangles)
-    area = np.maximum(footprint_areas(tin.vertices, tin.triangles), 0.0)
-    side = peel_kernel(tin.vertices, tin.triangles, tin.neighbours, LONG * at, area, DEEP * at)
+    at = corner_range(np.where(np.isfinite(spacing_m), spacing_m, 0.0), tin.triangles)[0]
+    side = peel_kernel(tin.vertices, tin.triangles, tin.neighbours, at, area)
     out: Bool = side >= 0
     return out
 
@@ -234,7 +234,7 @@ def sampled_area(tin: Tin) -> SampledArea:
             ~everything,
             spacing,
         )
-    mask = ~peel_gaps(tin, spacing)
+    mask = ~peel_gaps(tin, spacing, area)
     part = parts_kernel(tin.neighbours, mask)
     # a part of two or three triangles is no area that was sampled
     size = np.bincount(part[mask], minlength=1)
