@@ -259,17 +259,24 @@ def result_of(
         "shared_errors": error_facts(task.shared_errors),
         "trajectory": flown.facts,
     }
-    facts |= {
-        "clean": clean,
-        "objects": [dataclasses.asdict(one) for one in standing_on(surfaces)],
-        "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
-        "frame": frame_facts(frame),
-        "options": option_facts(task.options),
-        "version": version(),
-    }
+    facts["clean"] = clean
+    facts |= facts_of_surfaces(task, sources, surfaces)
     base, counted = base_of(task, found), found.counted[0]
     planes = () if found.site is None else tuple(pile.reference for pile in found.site.piles)
     return VolumeResult(surfaces, base, counted, facts, polygons_that_count(found), planes)
+
+
+def facts_of_surfaces(
+    task: VolumeTask, sources: list[Source], surfaces: list[CloudSurface]
+) -> dict[str, Any]:
+    """What the JSON says of the surfaces, however their volume is."""
+    return {
+        "objects": [dataclasses.asdict(one) for one in standing_on(surfaces)],
+        "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
+        "frame": frame_facts(task.frame),
+        "options": option_facts(task.options),
+        "version": version(),
+    }
 
 
 def standing_on(surfaces: list[CloudSurface]) -> list[StandingObject]:

@@ -302,7 +302,7 @@ def noise_if_told(points: F64) -> CloudNoise | None:
         return None
 
 
-def in_order_of_place(points: F64) -> tuple[I64, F64, Bool]:
+def in_order_of_place(points: F64) -> tuple[I32, F64, Bool]:
     """Rows (n,) of points (n, 3), m, such that neighbours in space are neighbours in memory: the
     searches take half the time. Then, in that order, the points about their middle along their own
     axes, and whether each is isolated.
