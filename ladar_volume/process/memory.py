@@ -43,6 +43,9 @@ PROFILES, FROM_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QO
 FREED = Path(__file__).with_name("fastdds.xml")
 #: How often a node gives memory back, s: the call takes milliseconds.
 GIVE_BACK_S = 5.0
+#: Blocks below this size come and go in the heap of a worker, the most that glibc allows, and twice
+#: as much stays free at its end.
+IN_HEAP_BYTES = 1 << 25
 
 
 def few_arenas() -> None:
@@ -52,6 +55,18 @@ def few_arenas() -> None:
         libc.mallopt(_M_ARENA_MAX, 2)
         libc.mallopt(_M_MMAP_THRESHOLD, MAPPED_BYTES)
         libc.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+@functools.cache
+def keep_blocks() -> None:
+    """Let arrays come and go in the heap, once in a process. Dask has its workers return what is
+    free at once, and glibc then maps every block of 128 KB: a fifth of a worker's time goes into
+    pages that are cleared anew.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_M_MMAP_THRESHOLD, IN_HEAP_BYTES)
+        libc.mallopt(_M_TRIM_THRESHOLD, 2 * IN_HEAP_BYTES)
 
 
 def free_buffers() -> None:

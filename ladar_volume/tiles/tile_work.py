@@ -8,6 +8,7 @@ from functools import partial
 from typing import Protocol, TypeVar
 
 from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.process.memory import keep_blocks
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -58,22 +59,25 @@ class DaskWorkers:
 
         start = self.client.map  # type: ignore[attr-defined]
         futures = start(partial(on_one_thread, task), of, pure=False, retries=LOSSES)
-        for future in as_completed(futures):  # type: ignore[no-untyped-call]
-            try:
-                yield future.result()
-            except KilledWorker as error:
-                words = f"a task lost its worker {LOSSES} times: give smaller tiles, or more memory"
-                raise LadarVolumeError(words, reason="workers_lost") from error
-            except (CancelledError, OSError) as error:
-                words = "the scheduler is gone: start it and run again, what is done is kept"
-                raise LadarVolumeError(words, reason="workers_lost") from error
-            future.release()
+        # results come with what is done: asking for each takes a millisecond or two
+        done = as_completed(futures, with_results=True)  # type: ignore[no-untyped-call]
+        try:
+            for future, result in done:
+                yield result
+                future.release()
+        except KilledWorker as error:
+            words = f"a task lost its worker {LOSSES} times: give smaller tiles, or more memory"
+            raise LadarVolumeError(words, reason="workers_lost") from error
+        except (CancelledError, OSError) as error:
+            words = "the scheduler is gone: start it and run again, what is done is kept"
+            raise LadarVolumeError(words, reason="workers_lost") from error
 
 
 def on_one_thread(task: Callable[[A], B], at: A) -> B:
     """A task on one thread: workers share the cores by tasks."""
     import numba
 
+    keep_blocks()
     numba.set_num_threads(1)
     return task(at)
 

@@ -65,16 +65,19 @@ def local_cluster(workers: int) -> LocalCluster:
     """So many processes of one thread. One that is lost before all are up takes the others with it:
     they are started again. Raises :class:`LadarVolumeError` where that does not help.
     """
+    import dask
     from distributed import LocalCluster
 
     for _ in range(STARTS):
         try:
-            return LocalCluster(  # type: ignore[no-untyped-call]
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address="127.0.0.1:0",
-                silence_logs=logging.CRITICAL,
-            )
+            # the profiler stops a worker's thread a hundred times a second
+            with dask.config.set({"distributed.worker.profile.enabled": False}):
+                return LocalCluster(  # type: ignore[no-untyped-call]
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
         except RuntimeError as error:
             why = str(error).rstrip(".")
     raise LadarVolumeError(f"workers do not start: {why}", reason="workers_lost")
