@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.model.records import I64
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tile_surface import Limits
-from ladar_volume.tiles.tile_work import Workers, results
+from ladar_volume.tiles.tile_work import Workers, each_result, results
 
 R = TypeVar("R")
 
@@ -70,13 +73,31 @@ def ask(
     """The answers ``op(of, tile, *more)`` of all tiles, in the order of their names; where it
     ``adds``, the sums of some each. progress : takes how many tiles have just answered.
     """
+    task, batches = partial(sum_batch if adds else run_batch, op, of), batches_of(of, more)
+    found = results(workers, task, batches, lambda done: progress(len(done[1])))
+    return [answer for _, some in sorted(found, key=lambda f: f[0]) for answer in some]
+
+
+def ask_total(
+    workers: Workers, of: TiledCloud, op: Callable[..., I64], more: Sequence[tuple[Any, ...]]
+) -> I64:
+    """The sum of the whole numbers (k,) that all tiles answer, whose order does not matter: not all
+    of them are held at once.
+    """
+    total: Any = 0
+    for _, (some,) in each_result(workers, partial(sum_batch, op, of), batches_of(of, more)):
+        total = total + some
+    return np.asarray(total, dtype=np.int64)
+
+
+def batches_of(
+    of: TiledCloud, more: Sequence[tuple[Any, ...]] | None
+) -> list[tuple[int, list[tuple[Any, ...]]]]:
+    """The tiles in batches, each with its number and what its tiles are told."""
     tiles = of.tiles
     every = [(tile, *rest) for tile, rest in zip(tiles, more or [()] * len(tiles), strict=True)]
     each = -(-len(every) // BATCHES)
-    batches = [(k, every[k : k + each]) for k in range(0, len(every), each)]
-    task = partial(sum_batch if adds else run_batch, op, of)
-    found = results(workers, task, batches, lambda done: progress(len(done[1])))
-    return [answer for _, some in sorted(found, key=lambda f: f[0]) for answer in some]
+    return [(k, every[k : k + each]) for k in range(0, len(every), each)]
 
 
 def givers(tiles: Sequence[Tile], gives: Sequence[Sequence[Tile]]) -> list[list[Tile]]:

@@ -110,21 +110,28 @@ def sizes_in(
     return size[(bins >= low) & (bins <= high)]
 
 
-def rows_by_block(
-    of: TiledCloud, tile: Tile, chosen: VertexSelection, block: int
-) -> tuple[I64, I64]:
-    """Blocks of rows of the file that hold chosen ones, and how many each."""
-    row = chosen_of(of, tile, chosen)[2]
-    blocks, count = np.unique(row // block, return_counts=True)
-    return blocks, count
+def blocks_of(row: I64, begin: I64, size: int) -> I64:
+    """The block (n,) that each of rows (n,) of the file lies in, -1 for none. begin : (k,) the
+    first rows of blocks of so many rows, ascending
+    """
+    at = np.searchsorted(begin, row, side="right") - 1
+    return np.where((at >= 0) & (row < begin[at] + size), at, -1)
+
+
+def count_in_blocks(
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, begin: I64, size: int
+) -> I64:
+    """How many of the chosen are in each block of rows (k,), as :func:`blocks_of` has them."""
+    at = blocks_of(chosen_of(of, tile, chosen)[2], begin, size)
+    return np.bincount(at[at >= 0], minlength=len(begin))
 
 
 def rows_in_blocks(
-    of: TiledCloud, tile: Tile, chosen: VertexSelection, block: int, blocks: I64
+    of: TiledCloud, tile: Tile, chosen: VertexSelection, begin: I64, size: int
 ) -> I64:
-    """The rows (k,) of the chosen in some blocks, ascending."""
+    """The rows (k,) of the chosen in some blocks."""
     row = chosen_of(of, tile, chosen)[2]
-    return row[np.isin(row // block, blocks)]
+    return row[blocks_of(row, begin, size) >= 0]
 
 
 def vertices_at(of: TiledCloud, tile: Tile, chosen: VertexSelection, rows: I64 | None) -> F64:

@@ -104,14 +104,20 @@ def run_guarded(task: Callable[[A], B], at: A) -> B | Failure:
         return Failure(LadarVolumeError, f"{error.strerror or error}", "output_unwritable")
 
 
+def each_result(workers: Workers, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
+    """The results in any order, as they are ready. Raises the first error."""
+    for found in workers.run(partial(run_guarded, task), of):
+        if isinstance(found, Failure):
+            raise found.kind(found.words, reason=found.reason, value=found.value)
+        yield found
+
+
 def results(
     workers: Workers, task: Callable[[A], B], of: Sequence[A], progress: Callable[[B], None]
 ) -> list[B]:
     """All results, in any order. Raises the first error."""
     out: list[B] = []
-    for found in workers.run(partial(run_guarded, task), of):
-        if isinstance(found, Failure):
-            raise found.kind(found.words, reason=found.reason, value=found.value)
+    for found in each_result(workers, task, of):
         progress(found)
         out.append(found)
     return out

@@ -27,14 +27,12 @@ from ladar_volume.ground.robust_ground import (
 )
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
-from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_work import Workers
-
-#: Blocks of rows of the file for each row that is looked for by its rank.
-BLOCKS = 16
+from ladar_volume.tiles.tiled_ranks import rows_at_ranks
 
 
 @dataclass(frozen=True)
@@ -141,16 +139,7 @@ class GroundFitter:
         """
         rows = None
         if step > 1:
-            block = max(1, step // BLOCKS)
-            asked = self._same(chosen, block)
-            found = ask(self.workers, self.of, tile_fit.rows_by_block, asked)
-            blocks, at = np.unique(np.concatenate([b for b, _ in found]), return_inverse=True)
-            below = np.cumsum(np.bincount(at, np.concatenate([c for _, c in found]))).astype(int)
-            ranks = np.arange(0, n, step)
-            wanted = np.searchsorted(below, ranks, side="right")
-            asked = self._same(chosen, block, blocks[np.unique(wanted)])
-            parts = ask(self.workers, self.of, tile_fit.rows_in_blocks, asked)
-            rows = rows_of_ranks(np.sort(np.concatenate(parts)), ranks, wanted, below)
+            rows = rows_at_ranks(self.workers, self.of, chosen, np.arange(0, n, step))
         asked = self._same(chosen, rows)
         out = np.concatenate(ask(self.workers, self.of, tile_fit.vertices_at, asked))
         return out[np.argsort(out[:, 0])]
@@ -174,16 +163,6 @@ class GroundFitter:
         sums = np.sum(ask(self.workers, self.of, tile_fit.moments, asked), axis=0)
         mean = sums[0, 1:] / sums[0, 0]
         check_spread(sums[1:, 1:] / sums[0, 0] - np.outer(mean, mean), grown.plane.rms_m)
-
-
-def rows_of_ranks(rows: I64, ranks: I64, block: I64, below: I64) -> I64:
-    """Rows (k,) at ranks (k,), which lie in blocks numbered (k,). rows : all of these blocks,
-    ascending · below : how many there are up to the end of each block
-    """
-    before = np.r_[0, below]
-    some, at = np.unique(block, return_inverse=True)
-    start = np.r_[0, np.cumsum(before[some + 1] - before[some])]
-    return np.asarray(rows[start[at] + ranks - before[block]])
 
 
 def vertices_within(plane: Plane, limit_m: float, ring: Path | None = None) -> VertexSelection:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import laspy
 import numpy as np
@@ -17,10 +18,11 @@ from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import GroundParameters, Parameters, VolumeParameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.tiles import tiled_ground
+from ladar_volume.tiles import tile_fit, tiled_ground
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_surface import Limits
 from ladar_volume.tiles.tile_work import OwnProcess
+from ladar_volume.tiles.tiled_ranks import rows_at_ranks
 from ladar_volume.tiles.tiled_volume import VolumeTask, volume_by_tiles
 
 
@@ -87,14 +89,16 @@ def test_a_search_on_some_of_the_points_takes_the_same_ones(tmp_path, monkeypatc
     assert both(path, tmp_path / "store", 28.0).volume == found.volume
 
 
-def test_ranks_are_told_block_by_block():
-    rows = np.sort(np.random.default_rng(3).choice(5000, 900, replace=False))
-    ranks = np.arange(0, len(rows), 37)
-    blocks, count = np.unique(rows // 64, return_counts=True)
-    below = np.cumsum(count)
-    wanted = np.searchsorted(below, ranks, side="right")
-    some = rows[np.isin(rows // 64, blocks[wanted])]
-    assert (tiled_ground.rows_of_ranks(some, ranks, wanted, below) == rows[ranks]).all()
+@pytest.mark.parametrize(("first", "step"), [(1, 37), (7, 1), (7, 900), (300, 5), (1 << 16, 37)])
+def test_ranks_are_told_block_by_block(monkeypatch, first, step):
+    rows = np.random.default_rng(first).choice(5000, 900, replace=False)
+    parts = dict(zip([(0, 0), (0, 1), (4, 4)], np.split(rows, [100, 100]), strict=True))
+    monkeypatch.setattr(tile_fit, "chosen_of", lambda of, tile, chosen: (None, None, parts[tile]))
+    cloud = SimpleNamespace(points=5000)
+    of = SimpleNamespace(tiles=list(parts), index=SimpleNamespace(cloud=cloud))
+    ranks = np.arange(0, 900, step)
+    found = rows_at_ranks(OwnProcess(), of, None, ranks, first)
+    assert (found == np.sort(rows)[ranks]).all()
 
 
 def test_the_verb_volume_by_tiles(tmp_path, capsys):

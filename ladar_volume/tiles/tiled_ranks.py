@@ -1,0 +1,45 @@
+"""Which rows of the file some of the vertices of all tiles have, by their rank among them: without
+all rows in one place.
+
+Rows are counted in blocks, and the blocks that hold a rank are divided, until they are small.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.model.records import I64
+from ladar_volume.tiles import tile_fit
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_total
+from ladar_volume.tiles.tile_fit import VertexSelection
+from ladar_volume.tiles.tile_work import Workers
+
+#: Blocks that a file is divided into first, about, and that each is divided into after that; rows
+#: of those that are small.
+FIRST, PARTS, SMALL = 1 << 16, 16, 16
+
+
+def rows_at_ranks(
+    workers: Workers, of: TiledCloud, chosen: VertexSelection, ranks: I64, first: int = FIRST
+) -> I64:
+    """Rows (k,) of the file of the chosen vertices at ranks (k,), ascending, in the order of the
+    file.
+    """
+    tiles, points = len(of.tiles), of.index.cloud.points
+    size = 1 << (points // first).bit_length()
+    begin, before = np.arange(0, points, size, dtype=np.int64), np.zeros(1, np.int64)
+    while True:
+        counted = ask_total(workers, of, tile_fit.count_in_blocks, [(chosen, begin, size)] * tiles)
+        count = counted.reshape(len(before), -1)  # by the block before, and its parts
+        start = before[:, None] + np.cumsum(count, axis=1) - count
+        wanted = np.searchsorted((start + count).reshape(-1), ranks, side="right")
+        some, at = np.unique(wanted, return_inverse=True)
+        begin, before, held = begin[some], start.reshape(-1)[some], counted[some]
+        if size <= SMALL:
+            break
+        size //= PARTS
+        begin = (begin[:, None] + size * np.arange(PARTS)).reshape(-1)
+    asked = [(chosen, begin, size)] * tiles
+    rows = np.sort(np.concatenate(ask(workers, of, tile_fit.rows_in_blocks, asked)))
+    place = np.cumsum(held) - held
+    return np.asarray(rows[place[at] + ranks - before[at]])
