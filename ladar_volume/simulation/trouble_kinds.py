@@ -36,6 +36,7 @@ KINDS: dict[str, Callable[[SceneDraft], None]] = {
         first.undulating,
         first.machine,
         first.grass,
+        first.grass_on_pile,
         first.wrong_attitude,
         first.wrong_beams,
         first.wrong_position,

@@ -319,11 +319,22 @@ def machine(d: SceneDraft) -> None:
 
 def grass(d: SceneDraft) -> None:
     """Grass of 5 to 10 cm everywhere but under the pile."""
+    overgrow(d, d.rng.uniform(0.05, 0.10), on_pile=False)
+
+
+def grass_on_pile(d: SceneDraft) -> None:
+    """Grass of 5 to 15 cm on the pile alone."""
+    overgrow(d, d.rng.uniform(0.05, 0.15), on_pile=True)
+
+
+def overgrow(d: SceneDraft, high: float, on_pile: bool) -> None:
+    """Grass, m high, on the pile or everywhere but under it."""
     d.names = ("vegetation",)
-    high, own, ground = d.rng.uniform(0.05, 0.10), d.pile, d.ground
+    own, ground = d.pile, d.ground
     tufts = Ground(0.0, (0.0, 0.0), 0.02, 0.05, int(d.rng.integers(1 << 30)))
     d.ground = lambda u, v: (
-        ground(u, v) + np.where(np.hypot(u / own.a, v / own.b) > 1.0, high + tufts(u, v), 0.0)
+        ground(u, v)
+        + np.where((np.hypot(u / own.a, v / own.b) > 1.0) ^ on_pile, high + tufts(u, v), 0.0)
     )
 
 

@@ -324,14 +324,14 @@ def sideways_shift(found: Scatter, normal: F64) -> tuple[float, float]:
     return major, math.atan2(float(axes[1, 1]), float(axes[0, 1])) % math.pi
 
 
-def cover_scatter(found: Scatter, ground: Bool, body: Bool) -> float:
-    """By how much patches of the ground scatter more than those of the body, m: 0 where they do not
-    by as much as grass does. ground, body : (m,) of all patches.
+def cover_scatter(found: Scatter, covered: Bool, bare: Bool) -> float:
+    """By how much patches of the ground scatter more than those of the body, or the other way
+    round, m: 0 where they do not by as much as grass does. covered, bare : (m,) of all patches.
     """
-    left, on, off = found.unexplained_m2, ground[found.rows], body[found.rows]
+    left, on, off = found.unexplained_m2, covered[found.rows], bare[found.rows]
     on, off = on & ~off, off & ~on
     if min(np.count_nonzero(on), np.count_nonzero(off)) < FEWEST // 2:
         return 0.0
-    bare = max(0.0, float(np.median(left[off])))  # where that is much, something else is wrong
-    more = float(np.median(left[on])) - bare
-    return math.sqrt(more) if more > max(GRASS_M**2, bare) else 0.0
+    rest = max(0.0, float(np.median(left[off])))  # where that is much, something else is wrong
+    more = float(np.median(left[on])) - rest
+    return math.sqrt(more) if more > max(GRASS_M**2, rest) else 0.0

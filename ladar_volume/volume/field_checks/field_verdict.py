@@ -259,8 +259,9 @@ def refuted_words(found: Agreement) -> str:
     )
 
 
-def with_cover(volume: Volume, more: float) -> Volume:
-    """The volume with what grows on its ground, where that scatters so much more, m."""
+def with_cover(volume: Volume, passes: PassAgreement) -> Volume:
+    """The volume with what grows on its ground, or on the body, where that scatters more."""
+    more = passes.cover_m or passes.body_cover_m
     if more == 0.0:
         return volume
     sigma = COVER * more * volume.area_m2
@@ -269,6 +270,13 @@ def with_cover(volume: Volume, more: float) -> Volume:
         f"base may lie above the soil by some {1e2 * COVER * more:.2g} cm, {sigma:.3g} m³ of sigma;"
         " mow, give volume.base level or plane, or survey the empty site"
     )
+    if passes.cover_m == 0.0:
+        sigma = min(sigma, abs(volume.volume_m3))  # plants are part of what was measured
+        words = (
+            f"the body scatters {1e3 * more:.2g} mm more than the ground, as plants and rough "
+            f"material do: plants would make it {sigma:.3g} m³ too large, which is in sigma; look "
+            "at it, and mow"
+        )
     doubt = Verdict((Doubt("vegetation", words, more),))
     volume = dataclasses.replace(volume, verdict=volume.verdict + doubt)
     return with_line(volume, "vegetation", sigma**2)
@@ -293,11 +301,13 @@ def scaled_lines(volume: Volume, scales: Mapping[str, float]) -> Volume:
 
 class PassAgreement(NamedTuple):
     """What the passes of a survey say of its budget. agreement : of their median with the budget,
-    None where it tells nothing · cover_m : by how much the ground scatters more than the body
+    None where it tells nothing · cover_m, body_cover_m : by how much the ground scatters more than
+    the body, and the body more than the ground
     """
 
     agreement: Agreement | None
-    cover_m: float
+    cover_m: float = 0.0
+    body_cover_m: float = 0.0
 
 
 def ground_and_body(
@@ -316,21 +326,23 @@ def ground_and_body(
 
 def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> PassAgreement:
     """The passes of a survey, the same for all of its bodies. Where the ground scatters more than
-    the body it is overgrown: the body alone is asked.
+    the body it is overgrown, or the body is: what is not is asked alone.
     """
     nav, b = survey.sources.navigation, parameters.budget
     scatter = patch_scatter(survey.patches, nav, b)
     if scatter is None:
-        return PassAgreement(None, 0.0)
-    cover = 0.0
+        return PassAgreement(None)
+    cover = body_cover = 0.0
     if len(footing.base.support):
         ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
         own = scatter.within_bins(survey.patches)
         cover = cover_scatter(own or scatter, ground, body)
-        if cover > 0.0:
-            scatter = scatter.of(body[scatter.rows])
+        body_cover = cover_scatter(own or scatter, body, ground)
+        if cover + body_cover > 0.0:
+            scatter = scatter.of((body if cover > 0.0 else ground)[scatter.rows])
     gap_s = parameters.georeference.max_position_gap_s
-    return PassAgreement(pass_agreement(scatter, survey.patches, nav, b, gap_s), cover)
+    agreement = pass_agreement(scatter, survey.patches, nav, b, gap_s)
+    return PassAgreement(agreement, cover, body_cover)
 
 
 def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) -> Volume:
@@ -393,7 +405,7 @@ def assess_field(
     part = body.part
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
-    volume = with_cover(volume, passes.cover_m)
+    volume = with_cover(volume, passes)
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, body, volume, parameters)
     tin = survey.tin
