@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-import numpy as np
-
 from ladar_volume.model.errors import LadarVolumeError
-from ladar_volume.model.records import I64
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tile_surface import Limits
 from ladar_volume.tiles.tile_work import Workers, each_result, results
@@ -54,12 +51,20 @@ def run_batch(
     return batch[0], out
 
 
-def sum_batch(
-    op: Callable[..., Any], of: TiledCloud, batch: tuple[int, Sequence[tuple[Any, ...]]]
-) -> tuple[int, list[Any]]:
-    """The same, the answers added up."""
+def merge_batch(
+    op: Callable[..., R],
+    merge: Callable[[Sequence[R]], R],
+    of: TiledCloud,
+    batch: tuple[int, Sequence[tuple[Any, ...]]],
+) -> tuple[int, R]:
+    """The number of a batch, and what ``merge`` makes of its answers."""
     number, answers = run_batch(op, of, batch)
-    return number, [sum(answers[1:], answers[0])]
+    return number, merge(answers)
+
+
+def added(answers: Sequence[Any]) -> Any:
+    """Their sum."""
+    return sum(answers[1:], answers[0])
 
 
 def ask(
@@ -68,26 +73,32 @@ def ask(
     op: Callable[..., R],
     more: Sequence[tuple[Any, ...]] | None = None,
     progress: Callable[[int], None] = lambda tiles: None,
-    adds: bool = False,
 ) -> list[R]:
-    """The answers ``op(of, tile, *more)`` of all tiles, in the order of their names; where it
-    ``adds``, the sums of some each. progress : takes how many tiles have just answered.
+    """The answers ``op(of, tile, *more)`` of all tiles, in the order of their names. progress :
+    takes how many tiles have just answered.
     """
-    task, batches = partial(sum_batch if adds else run_batch, op, of), batches_of(of, more)
+    task, batches = partial(run_batch, op, of), batches_of(of, more)
     found = results(workers, task, batches, lambda done: progress(len(done[1])))
     return [answer for _, some in sorted(found, key=lambda f: f[0]) for answer in some]
 
 
-def ask_total(
-    workers: Workers, of: TiledCloud, op: Callable[..., I64], more: Sequence[tuple[Any, ...]]
-) -> I64:
-    """The sum of the whole numbers (k,) that all tiles answer, whose order does not matter: not all
-    of them are held at once.
+def ask_merged(
+    workers: Workers,
+    of: TiledCloud,
+    op: Callable[..., R],
+    more: Sequence[tuple[Any, ...]] | None = None,
+    merge: Callable[[Sequence[R]], R] = added,
+) -> R:
+    """What ``merge`` makes of all answers, by default their sum: workers merge those of a batch,
+    and batches are merged in the order of their names as they come. Not all are held at once.
     """
-    total: Any = 0
-    for _, (some,) in each_result(workers, partial(sum_batch, op, of), batches_of(of, more)):
-        total = total + some
-    return np.asarray(total, dtype=np.int64)
+    batches, merged, ready = batches_of(of, more), list[R](), dict[int, R]()
+    left = [number for number, _ in reversed(batches)]
+    for number, one in each_result(workers, partial(merge_batch, op, merge, of), batches):
+        ready[number] = one
+        while left and left[-1] in ready:
+            merged = [merge([*merged, ready.pop(left.pop())])]
+    return merged[0]
 
 
 def batches_of(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -97,6 +98,20 @@ def bins_of(width: F64) -> I64:
     return np.ascontiguousarray(width).view(np.int64) >> COARSE_BITS
 
 
+def together(widths: Sequence[Widths]) -> Widths:
+    """The widths of several tiles by bins."""
+    bins, at = np.unique(np.concatenate([w.bins for w in widths]), return_inverse=True)
+    area = np.concatenate([w.area for w in widths])
+    return Widths(bins, np.asarray(np.bincount(at.reshape(-1), area, len(bins)), np.float64))
+
+
+def seen_together(found: Sequence[tuple[F64, Widths]]) -> tuple[F64, Widths]:
+    """What :func:`seen_widths` tells of several tiles."""
+    facts = np.stack([f for f, _ in found])
+    low, high = facts[:, 2:4].min(axis=0), facts[:, 4:].max(axis=0)
+    return np.array([*facts[:, :2].sum(axis=0), *low, *high]), together([w for _, w in found])
+
+
 def seen_widths(of: TiledCloud, tile: Tile, seen: Seen) -> tuple[F64, Widths]:
     """How many triangles of a tile are looked at, their area, m², and the least and greatest
     coordinates of their middles along the axes (6,); and how wide they are.
@@ -179,14 +194,20 @@ def on_coarser(kept: KeptPoints, places: F64, reach: Box) -> tuple[Tin, Places]:
 
 @dataclass(frozen=True)
 class Shares:
-    """beside : tiles to whose heights a tile gives something · wrote : whether it has something at
-    rest · widths : of the triangles of the coarser surface, by the area that they have over those
-    of the tile
+    """Of one tile or more: beside : tiles to whose heights each gives something · wrote : whether
+    each has something at rest · widths : of the triangles of the coarser surface, by the area that
+    they have over those of the tiles
     """
 
-    wrote: bool
-    beside: tuple[Tile, ...]
+    wrote: tuple[bool, ...]
+    beside: tuple[tuple[Tile, ...], ...]
     widths: Widths
+
+
+def shares_together(found: Sequence[Shares]) -> Shares:
+    """The same of several tiles."""
+    wrote, beside = (tuple(x for s in found for x in getattr(s, n)) for n in ("wrote", "beside"))
+    return Shares(wrote, beside, together([s.widths for s in found]))
 
 
 def compare(of: TiledCloud, tile: Tile, kept: KeptPoints, seen: Seen) -> Shares:
@@ -197,7 +218,7 @@ def compare(of: TiledCloud, tile: Tile, kept: KeptPoints, seen: Seen) -> Shares:
     tin, mask = surface.tin, seen.of_tile(surface, tile)
     corners = tin.triangles[mask]
     if not len(corners):
-        return Shares(False, (), in_bins(np.zeros(0), np.zeros(0)))
+        return Shares((False,), ((),), in_bins(np.zeros(0), np.zeros(0)))
     area, n = footprint_areas(tin.vertices, corners), len(tin.vertices)
     left_out = np.flatnonzero(rows_at(kept_around(kept, tin), tin.vertices) >= 0)
     rows, place = number_vertices(corners, n, left_out)
@@ -221,7 +242,7 @@ def compare(of: TiledCloud, tile: Tile, kept: KeptPoints, seen: Seen) -> Shares:
     width = np.asarray(circle_kernel(coarse.vertices, coarse.triangles))
     some = sums.covered > 0.0
     write(kept.folder, "widths", tile, np.column_stack([width, sums.covered])[some])
-    return Shares(True, beside, in_bins(width[some], sums.covered[some]))
+    return Shares((True,), (beside,), in_bins(width[some], sums.covered[some]))
 
 
 def kept_around(kept: KeptPoints, tin: Tin) -> F64:

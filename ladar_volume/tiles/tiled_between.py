@@ -23,7 +23,7 @@ from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles import tile_coarser, tile_spacing
-from ladar_volume.tiles.tile_batches import ask, givers
+from ladar_volume.tiles.tile_batches import ask, ask_merged, givers
 from ladar_volume.tiles.tile_coarser import Blocks, Seen, Squares, Widths
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_spacing import Cells, KeptPoints, Rasters
@@ -46,6 +46,10 @@ class BetweenFinder:
     def _ask(self, op: Callable[..., R], *more: object) -> list[R]:
         of = self.fitter.of
         return ask(self.fitter.workers, of, op, [more] * len(of.tiles))
+
+    def _merged(self, op: Callable[..., R], merge: Callable[[Sequence[R]], R], *more: object) -> R:
+        of = self.fitter.of
+        return ask_merged(self.fitter.workers, of, op, [more] * len(of.tiles), merge)
 
     def _each(self, op: Callable[..., R], more: Sequence[tuple[object, ...]]) -> list[R]:
         return ask(self.fitter.workers, self.fitter.of, op, more)
@@ -111,10 +115,7 @@ class BetweenFinder:
 
     def _seen(self, seen: Seen) -> tuple[F64, Widths]:
         """Number, area and extent (6,) of the triangles looked at, and how wide they are."""
-        found = self._ask(tile_coarser.seen_widths, seen)
-        facts = np.stack([f for f, _ in found])
-        low, high = facts[:, 2:4].min(axis=0), facts[:, 4:].max(axis=0)
-        return np.array([*facts[:, :2].sum(axis=0), *low, *high]), together([w for _, w in found])
+        return self._merged(tile_coarser.seen_widths, tile_coarser.seen_together, seen)
 
     def _half(self, widths: Widths, fetch: Callable[[int], list[F64]]) -> float:
         """The width, m, that half of the area is below: that of one of those in its bin."""
@@ -139,15 +140,15 @@ class BetweenFinder:
         if kept is None:
             return None
         self._ask(tile_coarser.coarser_stars, kept)
-        shares = self._ask(tile_coarser.compare, kept, seen)
-        wrote = [s.wrote for s in shares]
+        shares = self._merged(tile_coarser.compare, tile_coarser.shares_together, kept, seen)
+        asked = [(kept, wrote) for wrote in shares.wrote]
         size = self._half(
-            together([s.widths for s in shares]),
-            lambda one: self._each(tile_coarser.covered_in, [(kept, w, one) for w in wrote]),
+            shares.widths,
+            lambda one: self._each(tile_coarser.covered_in, [(*a, one) for a in asked]),
         )
-        beside = givers(self.fitter.of.tiles, [s.beside for s in shares])
+        beside = givers(self.fitter.of.tiles, shares.beside)
         blocks = Blocks(extent, size)
-        more = [(kept, seen, blocks, w, b) for w, b in zip(wrote, beside, strict=True)]
+        more = [(kept, seen, blocks, w, b) for w, b in zip(shares.wrote, beside, strict=True)]
         found = self._each(tile_coarser.by_blocks, more)
         names, at = np.unique(np.concatenate([f[0] for f in found]), return_inverse=True)
         volumes = np.concatenate([f[1] for f in found])
@@ -170,13 +171,6 @@ class BetweenFinder:
             return None
         boxes = {t: box for t, (_, box) in zip(of.tiles, found, strict=True) if box is not None}
         return KeptPoints(of.index.cloud, boxes, tile_spacing.kept_folder(rasters, shift))
-
-
-def together(widths: Sequence[Widths]) -> Widths:
-    """The widths of all tiles by bins."""
-    bins, at = np.unique(np.concatenate([w.bins for w in widths]), return_inverse=True)
-    area = np.concatenate([w.area for w in widths])
-    return Widths(bins, np.asarray(np.bincount(at.reshape(-1), area, len(bins)), np.float64))
 
 
 def merged(told: Sequence[F64]) -> F64:

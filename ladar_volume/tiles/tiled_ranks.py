@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.model.records import I64
 from ladar_volume.tiles import tile_fit
-from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_total
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_work import Workers
 
@@ -29,7 +29,8 @@ def rows_at_ranks(
     size = 1 << (points // first).bit_length()
     begin, before = np.arange(0, points, size, dtype=np.int64), np.zeros(1, np.int64)
     while True:
-        counted = ask_total(workers, of, tile_fit.count_in_blocks, [(chosen, begin, size)] * tiles)
+        asked = [(chosen, begin, size)] * tiles
+        counted = ask_merged(workers, of, tile_fit.count_in_blocks, asked)
         count = counted.reshape(len(before), -1)  # by the block before, and its parts
         start = before[:, None] + np.cumsum(count, axis=1) - count
         wanted = np.searchsorted((start + count).reshape(-1), ranks, side="right")

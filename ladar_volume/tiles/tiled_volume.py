@@ -23,7 +23,7 @@ from ladar_volume.model.errors import ParameterValueError, SurfaceError, VolumeE
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_outline, tile_volume
-from ladar_volume.tiles.tile_batches import TiledCloud, ask, givers, run_batch
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers, run_batch
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
 from ladar_volume.tiles.tile_outline import Box
@@ -239,11 +239,10 @@ class VolumeAbove:
     asked: Above
     sums: list[TileSums]
 
-    def _ask(self, op: Callable[..., F64], *more: object, adds: bool = True) -> F64:
-        """Answers of the tiles, added up or one below the other."""
+    def _sum(self, op: Callable[..., F64], *more: object) -> F64:
+        """Answers of the tiles, added up."""
         of = self.fitter.of
-        found = ask(self.fitter.workers, of, op, [more] * len(of.index.count), adds=adds)
-        return np.asarray(np.sum(found, axis=0) if adds else np.stack(found))
+        return np.asarray(ask_merged(self.fitter.workers, of, op, [more] * len(of.index.count)))
 
     def volume(self, base: str) -> CloudVolume:
         """The volume of all tiles, its base in words."""
@@ -271,8 +270,9 @@ class VolumeAbove:
             (self.asked, Beside(found.near is not None, some), chosen, by_sums)
             for found, some in zip(self.sums, beside, strict=True)
         ]
-        sums = ask(self.fitter.workers, self.fitter.of, tile_volume.squares, more, adds=True)
-        return np.asarray(np.sum(sums, axis=0))
+        return np.asarray(
+            ask_merged(self.fitter.workers, self.fitter.of, tile_volume.squares, more)
+        )
 
     def _field(self, fit: TiledFit, by_sums: F64) -> float:
         """Variance, m⁶, of what the deviation of the ground from its base adds to the net volume,
@@ -280,7 +280,9 @@ class VolumeAbove:
         """
         chosen = fit.chosen
         base = dataclasses.replace(fit.plane, support=np.zeros(0, np.int64))
-        facts = self._ask(tile_volume.field_facts, base, chosen, by_sums, adds=False)
+        of = self.fitter.of
+        asked = [(base, chosen, by_sums)] * len(of.tiles)
+        facts = np.stack(ask(self.fitter.workers, of, tile_volume.field_facts, asked))
         low, high = facts[:, :2].min(axis=0), facts[:, 2:4].max(axis=0)
         n, square, shares, own = facts[:, 4:].sum(axis=0).tolist()
         rough = self._roughness(fit, (low, high), int(n), square / n, shares / n)
@@ -291,7 +293,7 @@ class VolumeAbove:
         high = np.maximum(high, boxes[:, 2:].max(axis=0))
         h, shape = field_squares(rough, low, high)
         more = (self.asked, chosen, by_sums, Squares(low, h, shape))
-        grid = self._ask(tile_volume.field_grid, *more)
+        grid = self._sum(tile_volume.field_grid, *more)
         return variance_on_squares(rough, grid, h, own)
 
     def _roughness(
@@ -301,7 +303,7 @@ class VolumeAbove:
         and of their noise variances in those of one point.
         """
         chosen, low, side = fit.chosen, box[0], occupied_side(*box)
-        grid = self._ask(tile_volume.points_per_square, chosen, low, side)
+        grid = self._sum(tile_volume.points_per_square, chosen, low, side)
         some = self.fitter.at_ranks(chosen, n, sample_step(n))[:, 1:4]
         residual = height_above(some, fit.plane)
         spacing = spacing_of(int(np.count_nonzero(grid)), side, n)
