@@ -84,3 +84,14 @@ def test_isolated_points_are_those_of_every_point_among_its_neighbours(seed):
     # of neighbours equally far any may be taken
     assert np.count_nonzero(found != wanted) <= (6 if seed % 2 else 0)
     assert 20 < np.count_nonzero(wanted) < 600
+
+
+def test_few_strays_do_not_move_the_noise():
+    rng = np.random.default_rng(8)
+    lifted = np.c_[rng.uniform(0.0, 20.0, (30_000, 2)), rng.normal(0.0, 0.01, 30_000)]
+    lifted[[7, 20_001], 2] += 3.0
+    found = cloud_surface(lifted, SurfaceParameters(), how="auto")
+    assert {7, 20_001} <= set(found.strays.tolist()) and len(found.strays) <= 3
+    assert np.array_equal(found.stray_points, lifted[found.strays])
+    again = cloud_noise.cloud_noise(lifted[found.index]).sigma_m
+    assert found.sigma_m[0] == pytest.approx(again, rel=0.02)  # of some 20,000 fits each
