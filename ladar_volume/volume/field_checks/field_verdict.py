@@ -326,7 +326,8 @@ def ground_and_body(
 
 def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> PassAgreement:
     """The passes of a survey, the same for all of its bodies. Where the ground scatters more than
-    the body it is overgrown, or the body is: what is not is asked alone.
+    the body it is overgrown: the body alone is asked. The ground is never asked alone: level ground
+    does not show errors of attitude and of horizontal position.
     """
     nav, b = survey.sources.navigation, parameters.budget
     scatter = patch_scatter(survey.patches, nav, b)
@@ -338,8 +339,8 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
         own = scatter.within_bins(survey.patches)
         cover = cover_scatter(own or scatter, ground, body)
         body_cover = cover_scatter(own or scatter, body, ground)
-        if cover + body_cover > 0.0:
-            scatter = scatter.of((body if cover > 0.0 else ground)[scatter.rows])
+        if cover > 0.0:
+            scatter = scatter.of(body[scatter.rows])
     gap_s = parameters.georeference.max_position_gap_s
     agreement = pass_agreement(scatter, survey.patches, nav, b, gap_s)
     return PassAgreement(agreement, cover, body_cover)
