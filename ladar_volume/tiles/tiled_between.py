@@ -23,7 +23,7 @@ from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles import tile_coarser, tile_spacing
-from ladar_volume.tiles.tile_batches import ask, ask_merged, givers
+from ladar_volume.tiles.tile_batches import added, ask, ask_merged, givers
 from ladar_volume.tiles.tile_coarser import Blocks, Seen, Squares, Widths
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_spacing import Cells, KeptPoints, Rasters
@@ -89,7 +89,7 @@ class BetweenFinder:
             return None, n
         low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
         middle = rounded_middle(facts[:, 1:3].sum(axis=0) / n, (low, high))
-        axes = axes_of(middle, np.sum(self._ask(tile_spacing.moments, middle), axis=0))
+        axes = axes_of(middle, self._merged(tile_spacing.moments, added, middle))
         facts = np.stack(self._ask(tile_spacing.extent, axes))
         low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
         every = VertexSelection((0.0, 0.0), (0.0,), math.inf)

@@ -29,7 +29,7 @@ from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_fit
-from ladar_volume.tiles.tile_batches import TiledCloud, ask
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ranks import rows_at_ranks
@@ -150,7 +150,7 @@ class GroundFitter:
         if p.threshold_m > 0.0:
             chosen = vertices_within(fit.plane, p.threshold_m)
             asked = self._same(chosen, p.threshold_m)
-            own, above, below = np.sum(ask(self.workers, self.of, tile_fit.layers, asked), axis=0)
+            own, above, below = ask_merged(self.workers, self.of, tile_fit.layers, asked)
             if own >= CONTRAST * max(above, below):
                 return
             try:
@@ -160,7 +160,7 @@ class GroundFitter:
                 return  # it grows into what is too steep to be ground
         about = np.array([*grown.plane.origin_xy, grown.plane.beta[0]])
         asked = self._same(grown.chosen, about)
-        sums = np.sum(ask(self.workers, self.of, tile_fit.moments, asked), axis=0)
+        sums = ask_merged(self.workers, self.of, tile_fit.moments, asked)
         mean = sums[0, 1:] / sums[0, 0]
         check_spread(sums[1:, 1:] / sums[0, 0] - np.outer(mean, mean), grown.plane.rms_m)
 
