@@ -83,7 +83,7 @@ from ladar_volume.clouds.volume_verdict import (
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.results import MOST_OBJECTS, json_text
 from ladar_volume.io.site.outline_files import Outlines
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import HeightError
 from ladar_volume.model.records import F64, Bool, Plane, StandingObject, Tin
@@ -209,7 +209,26 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     shared = height_errors(arguments)
     common_material(arguments)
     flight = check_trajectory(arguments)
+    if parameters.volume.ground_cover_m or parameters.volume.body_cover_m:
+        check_cover(arguments)
     return VolumeTask(arguments, parameters, base, options, levels, None, correct, shared, flight)
+
+
+def check_cover(arguments: argparse.Namespace) -> None:
+    """Refuse plants of a known height where no body above one base is measured."""
+    a = arguments
+    wrong = {
+        "a second cloud": a.cloud_b is not None,
+        "--levels": a.levels is not None,
+        "--frame scan": a.frame == "scan",
+    }
+    for name, is_wrong in wrong.items():
+        if is_wrong:
+            raise ConfigurationError(
+                "volume.ground_cover_m and body_cover_m are of one surface above one base: leave "
+                f"out {name}",
+                value=name,
+            )
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
             "cut_raw_m3": volume.cut_raw_m3,
             "fill_raw_m3": volume.fill_raw_m3,
         },
+        "cover_m3": volume.cover_m3,
         "budget_m6": volume.budget_m6,
         "sigma_holds": "noise of the points and what lies between them only",
         "centimetre_m3": 0.01 * volume.area_m2,

@@ -60,7 +60,7 @@ class CloudVolume:
     near_area_m2 · sigma_* : standard deviations from the noise of the points, NaN where it is not
     known · budget_m6 : variances of the net volume by source · base : in words · base_same_survey :
     whether it comes from the cloud itself · freedom : independent places of the ground that
-    ``base_surface`` was told from
+    ``base_surface`` was told from · cover_m3 : added for plants whose height the user gave
     """
 
     cut_m3: float
@@ -77,6 +77,7 @@ class CloudVolume:
     base_same_survey: bool
     budget_m6: dict[str, float]
     freedom: float = math.inf
+    cover_m3: float = 0.0
 
     @property
     def net_m3(self) -> float:

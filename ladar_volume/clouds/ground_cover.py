@@ -179,7 +179,7 @@ def growth_doubts(growth_m: float, sigma_m3: float) -> list[Doubt]:
     words = (
         f"the points of the ground scatter by {1e2 * growth_m:.2g} cm more than those of the body, "
         f"as grass and plants do: the base may lie above the soil, {sigma_m3:.3g} m³ of sigma; "
-        "filter the ground by class (--classes 2,6), give --level or --plane, or survey the empty "
-        "site"
+        "filter the ground by class (--classes 2,6), give --level or --plane, survey the empty "
+        "site, or say with --set volume.ground_cover_m=[H,SIGMA] how high it is (0,0: bare)"
     )
     return [Doubt("vegetation", words, growth_m)]

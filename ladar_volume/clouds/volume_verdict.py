@@ -27,7 +27,7 @@ from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
 from ladar_volume.clouds.survey.flight_errors import vertex_slopes
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
@@ -36,6 +36,7 @@ from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.plant_cover import known_cover
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import wall_m6
 
@@ -327,8 +328,7 @@ def volume_with_verdict(
     )
     height = height_above(tin.vertices, base)
     between = between_points(surface, inside, height, ~gap_mask)
-    found = with_between_points(volume, between)
-    found = with_edge(found, surface, inside, height, by_body)
+    found = with_edge(with_between_points(volume, between), surface, inside, height, by_body)
     doubts = gaps or surface_doubts(surface, inside)
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
@@ -346,8 +346,9 @@ def volume_with_verdict(
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     found = with_readings(found, readings)
     if readings is not None:
-        found, more = with_growth(found, surface, base, inside, rise)
+        found, more = with_growth(found, surface, base, inside, parameters.volume)
         doubts += more
+    found = with_known_cover(found, tin, base, inside, parameters.volume)
     return found, Verdict(tuple(doubts))
 
 
@@ -388,17 +389,38 @@ def faces_around(surface: CloudSurface, base: Plane, inside: F64, rise_m: float)
 
 
 def with_growth(
-    volume: CloudVolume, surface: CloudSurface, ground: Plane, inside: F64, rise_m: float
+    volume: CloudVolume, surface: CloudSurface, ground: Plane, inside: F64, v: VolumeParameters
 ) -> tuple[CloudVolume, list[Doubt]]:
-    """The volume with what grows on the ground around it in sigma. rise_m : what is higher above
-    the ground, within the outline (m,) m², is the body.
+    """The volume with what grows on the ground around it in sigma, where the user has not told. The
+    body is what is higher above the ground, within the outline (m,) m².
     """
-    high = body_vertices(surface, ground, inside > 0, rise_m)
+    if v.ground_cover_m or math.isnan(volume.sigma_m3):
+        return volume, []
+    high = body_vertices(surface, ground, inside > 0, v.object_height_m)
     growth = growth_above_ground(surface, ground, high, body_scatter(surface, high))
-    if not growth > 0.0 or math.isnan(volume.sigma_m3):
+    if not growth > 0.0:
         return volume, []
     sigma = GROWTH * growth * volume.area_m2
     return with_lines(volume, {"vegetation": sigma**2}), growth_doubts(growth, sigma)
+
+
+def with_known_cover(
+    volume: CloudVolume, tin: Tin, base: Plane, inside: F64, v: VolumeParameters
+) -> CloudVolume:
+    """The volume with the plants that the user told of."""
+    known = known_cover(v, volume.base_same_survey)
+    told, sigma = known.correction(tin, base, inside, v.object_height_m)
+    up = volume.cut_m3 >= volume.fill_m3
+    volume = dataclasses.replace(
+        volume,
+        cut_m3=volume.cut_m3 + (told if up else 0.0),
+        fill_m3=volume.fill_m3 - (0.0 if up else told),
+        cover_m3=told,
+    )
+    if not sigma > 0.0 or math.isnan(volume.sigma_m3):
+        return volume
+    found = volume.budget_m6.get("vegetation", 0.0)
+    return with_lines(volume, {"vegetation": found + sigma**2})
 
 
 def counted_areas(surface: CloudSurface, mask: Bool) -> F64:

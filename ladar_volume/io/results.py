@@ -70,6 +70,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
         },
         "chord_m3": volume.chord_m3,
         "smoothing_m3": volume.smoothing_m3,
+        "cover_m3": volume.cover_m3,
         "seen_share": volume.seen_share,
         "gaps": [dataclasses.asdict(gap) for gap in volume.gaps],
         "objects": [dataclasses.asdict(one) for one in volume.objects[:MOST_OBJECTS]],

@@ -417,7 +417,8 @@ class Volume:
     uncertain boresight and attitude, not corrected but in lines of the budget, and whether that
     ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what
     the surface's chords span above hollows and below crests; ``smoothing_m3`` : the same for what
-    the filter's fits smoothed away, as at the toe. ``seen_share`` : of the area, where
+    the filter's fits smoothed away, as at the toe; ``cover_m3`` : added for plants whose height the
+    user gave. ``seen_share`` : of the area, where
     points were seen; ``gaps`` : the largest places where none were, bridged, with a line
     ``unseen`` of the budget. ``objects`` : what stood on the surface, is not counted, and hides
     what is bridged. ``agreement`` : of the passes with the budget, where it was asked.
@@ -447,6 +448,7 @@ class Volume:
     second_order_matters: bool = False
     chord_m3: float = 0.0
     smoothing_m3: float = 0.0
+    cover_m3: float = 0.0
     seen_share: float = 1.0
     gaps: tuple[Gap, ...] = ()
     objects: tuple[StandingObject, ...] = ()

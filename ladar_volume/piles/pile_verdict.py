@@ -108,7 +108,7 @@ def pile_with_verdict(
     doubts: list[Doubt] = []
     rise, mask = parameters.volume.object_height_m, inside > 0
     if requested.readings is None:
-        volume, doubts = with_growth(volume, surface, ground, inside, rise)
+        volume, doubts = with_growth(volume, surface, ground, inside, parameters.volume)
     doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
     faces = faces_around(surface, ground, inside, rise)
     doubts += wall_doubts(part.tin, ground, mask, faces, rise)

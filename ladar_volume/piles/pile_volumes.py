@@ -43,6 +43,7 @@ from ladar_volume.piles.pile_verdict import outline_doubts, pile_with_verdict, r
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.uncertainty.ground_field import Roughness
+from ladar_volume.volume.field_checks.plant_cover import known_cover
 
 #: Share of the smallest pile that several outlines may share.
 TWICE = 1e-3
@@ -134,7 +135,12 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     reference = asked.plane if asked.plane is not None else reference_of(part, made)
     volume, verdict = pile_with_verdict(site, part, task, parameters, asked, reference, ground)
     nets = {n: net_above(part, base, rough) for n, base in made.items() if n != task.base}
-    bases = volumes_above_bases(part, nets, volume)
+    told = (0.0, 0.0)
+    if isinstance(ground, Plane):
+        known = known_cover(parameters.volume, own_ground=True)
+        rise = parameters.volume.object_height_m
+        told = known.correction(part.tin, ground, part.inside_m2, rise)
+    bases = volumes_above_bases(part, nets, volume, told)
     if not task.is_named:
         volume = with_choice(volume, bases)
     verdict = verdict + Verdict(tuple(outline_doubts(part)))
@@ -156,10 +162,12 @@ def volumes_above_bases(
     part: PilePart,
     nets: Mapping[str, Net | LadarVolumeError],
     requested: CloudVolume,
+    told: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, VolumeAboveBase]:
     """The volumes above every base, ``requested`` for the one that is not among the nets, with the
     standard deviations of their noise and of what heights share; what lies between the points is
-    taken from the volume that was asked for.
+    taken from the volume that was asked for. told : what plants of a known height take from them,
+    m³, and its standard deviation.
     """
     known = {name: net for name, net in nets.items() if isinstance(net, Net)}
     columns = np.column_stack([net.gradient for net in known.values()] or [part.by_height])
@@ -175,7 +183,8 @@ def volumes_above_bases(
             out[name] = VolumeAboveBase(math.nan, math.nan, str(net))
         else:
             noise = float(variance[list(known).index(name)]) + sum(net.extra.values())
-            out[name] = VolumeAboveBase(net.net_m3, math.sqrt(max(noise + between, 0.0)))
+            variance_m6 = noise + between + told[1] ** 2
+            out[name] = VolumeAboveBase(net.net_m3 + told[0], math.sqrt(max(variance_m6, 0.0)))
     return out
 
 
@@ -238,16 +247,7 @@ def total_volume(piles: Sequence[PileVolume], task: SiteTask) -> CloudVolume:
         sum(s.curved_m6 for s in parts),
     )
     total = corrected_volume(solid, task.words, piles[0].volume.base_same_survey)
-    alike = {"base_choice", "registration"} | (
-        {"base_surface"} if task.base == "site_ground" else set()
-    )
-    lines: dict[str, float] = {}
-    for p in piles:
-        for name, value in p.volume.budget_m6.items():
-            if name in total.budget_m6:
-                continue
-            lines[name] = lines.get(name, 0.0) + (math.sqrt(value) if name in alike else value)
-    lines = {name: v**2 if name in alike else v for name, v in lines.items()}
+    lines = summed_lines(piles, total, task)
     total = total if math.isnan(total.sigma_m3) else with_lines(total, lines)
     return dataclasses.replace(
         total,
@@ -256,4 +256,23 @@ def total_volume(piles: Sequence[PileVolume], task: SiteTask) -> CloudVolume:
         folded_m3=sum(p.volume.folded_m3 for p in piles),
         near_area_m2=sum(p.volume.near_area_m2 for p in piles),
         freedom=min(p.volume.freedom for p in piles),
+        cover_m3=sum(p.volume.cover_m3 for p in piles),
     )
+
+
+def summed_lines(
+    piles: Sequence[PileVolume], total: CloudVolume, task: SiteTask
+) -> dict[str, float]:
+    """The lines of all piles that the total has not, m⁶: those that are wrong alike as such."""
+    alike = {"base_choice", "registration"}
+    if task.base == "site_ground":
+        alike |= {"base_surface"}
+    if any(p.volume.cover_m3 for p in piles):  # of a height that holds for all of them
+        alike |= {"vegetation"}
+    lines: dict[str, float] = {}
+    for p in piles:
+        for name, value in p.volume.budget_m6.items():
+            if name not in total.budget_m6:
+                more = math.sqrt(value) if name in alike else value
+                lines[name] = lines.get(name, 0.0) + more
+    return {name: v**2 if name in alike else v for name, v in lines.items()}

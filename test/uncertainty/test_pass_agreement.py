@@ -23,10 +23,8 @@ from ladar_volume.uncertainty.pass_agreement import (
     source_agreement,
 )
 from ladar_volume.volume.field_checks.field_verdict import (
-    PassAgreement,
     budget_scales,
     variance_ratio,
-    with_cover,
     with_passes,
 )
 from test.scenes.volume_surfaces import platform, surface_update
@@ -113,18 +111,6 @@ def test_ground_that_scatters_more_than_the_body_is_overgrown():
         made = dataclasses.replace(patches, sigma=sigma)
         found = cover_scatter(patch_scatter(made, navigation(made), BUDGET), ground, ~ground)
         assert (found == 0.0) if least == 0.0 else least < found < scatter
-
-
-def test_what_scatters_more_is_doubted_and_in_sigma_the_ground_or_the_body():
-    for passes, word in (
-        (PassAgreement(None, cover_m=0.012), "the ground scatters 12 mm more"),
-        (PassAgreement(None, body_cover_m=0.012), "the body scatters 12 mm more"),
-    ):
-        found = with_cover(VOLUME, passes)
-        assert found.budget_m6["vegetation"] == pytest.approx((4.0 * 0.012 * 50.0) ** 2)
-        assert [d.name for d in found.verdict.doubts] == ["vegetation"]
-        assert word in found.verdict.doubts[0].text
-    assert with_cover(VOLUME, PassAgreement(None)) is VOLUME
 
 
 LINES = {"noise": 0.01, "position": 0.04, "boresight": 0.09, "base_surface": 0.25}

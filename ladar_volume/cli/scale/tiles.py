@@ -71,6 +71,9 @@ def requested_parameters(a: argparse.Namespace) -> Parameters:
         raise ConfigurationError(words, value=a.base)
     parameters, base = parameters_of(a)
     outline = parameters.volume.outline
+    if parameters.volume.ground_cover_m or parameters.volume.body_cover_m:
+        words = "volume.ground_cover_m and body_cover_m are not told by tiles: leave them out"
+        raise ConfigurationError(words)
     if outline != "all" and (outline == "polygon" or base != "ground"):
         words = f"the outline {outline} above a {base} is not told by tiles: --outline all"
         raise ConfigurationError(words, value=outline)

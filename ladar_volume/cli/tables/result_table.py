@@ -84,6 +84,13 @@ def _add_corrections(head: Table, result: Mapping[str, Any]) -> None:
             f"({result['volume_m3'] + smoothed:.3f} m³ with it)"
         )
         head.add_row("smoothing", words)
+    cover = result["cover_m3"]
+    if abs(cover) >= 5e-4:
+        words = (
+            f"{cover:+.3f} m³ added for plants of the height that was given "
+            f"({result['volume_m3'] - cover:.3f} m³ as seen)"
+        )
+        head.add_row("plants", words)
 
 
 def _add_body_rows(head: Table, result: Mapping[str, Any]) -> None:

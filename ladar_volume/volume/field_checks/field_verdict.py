@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.choices import CALIBRATION_GROUPS, SOURCE_LINES
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
@@ -43,6 +43,7 @@ from ladar_volume.volume.field_checks.gaps import (
     hidden_m6,
 )
 from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
+from ladar_volume.volume.field_checks.plant_cover import cover_sigma, known_cover
 from ladar_volume.volume.field_checks.sight_lines import patch_views
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import (
@@ -58,8 +59,6 @@ from ladar_volume.volume.measured_body import (
     footing_of,
 )
 
-#: Height of what grows, over its scatter.
-COVER = 4.0
 #: Lines of the budget that returns do not share.
 OWN = ("noise", "noise_tangential", "smoothing", "base_surface")
 #: Share of the points that a median screen may change: more are no outliers.
@@ -259,27 +258,32 @@ def refuted_words(found: Agreement) -> str:
     )
 
 
-def with_cover(volume: Volume, passes: PassAgreement) -> Volume:
-    """The volume with what grows on its ground, or on the body, where that scatters more."""
-    more = passes.cover_m or passes.body_cover_m
-    if more == 0.0:
-        return volume
-    sigma = COVER * more * volume.area_m2
-    words = (
-        f"the ground scatters {1e3 * more:.2g} mm more than the body, as grass and plants do: the "
-        f"base may lie above the soil by some {1e2 * COVER * more:.2g} cm, {sigma:.3g} m³ of sigma;"
-        " mow, give volume.base level or plane, or survey the empty site"
+def with_cover(
+    survey: SurveyedSurface,
+    footing: Footing,
+    part: F64,
+    volume: Volume,
+    passes: PassAgreement,
+    v: VolumeParameters,
+) -> Volume:
+    """The volume with what grows on its ground, or on the body: as the user knows it, or where one
+    scatters more than the other.
+    """
+    known = known_cover(v, len(footing.base.support) > 0)
+    ground = 0.0 if known.ground else passes.cover_m
+    body = 0.0 if known.body else passes.body_cover_m
+    told, sigma = known.correction(survey.tin, footing.base, part, v.object_height_m)
+    found, doubts = cover_sigma(ground, body, volume.area_m2, volume.volume_m3)
+    up = volume.cut_m3 >= volume.fill_m3
+    volume = dataclasses.replace(
+        volume,
+        volume_m3=volume.volume_m3 + told,
+        cut_m3=volume.cut_m3 + (told if up else 0.0),
+        fill_m3=volume.fill_m3 - (0.0 if up else told),
+        cover_m3=told,
+        verdict=volume.verdict + Verdict(tuple(doubts)),
     )
-    if passes.cover_m == 0.0:
-        sigma = min(sigma, abs(volume.volume_m3))  # plants are part of what was measured
-        words = (
-            f"the body scatters {1e3 * more:.2g} mm more than the ground, as plants and rough "
-            f"material do: plants would make it {sigma:.3g} m³ too large, which is in sigma; look "
-            "at it, and mow"
-        )
-    doubt = Verdict((Doubt("vegetation", words, more),))
-    volume = dataclasses.replace(volume, verdict=volume.verdict + doubt)
-    return with_line(volume, "vegetation", sigma**2)
+    return with_line(volume, "vegetation", math.hypot(sigma, found) ** 2)
 
 
 def scaled_lines(volume: Volume, scales: Mapping[str, float]) -> Volume:
@@ -406,7 +410,7 @@ def assess_field(
     part = body.part
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
-    volume = with_cover(volume, passes)
+    volume = with_cover(survey, footing, part, volume, passes, parameters.volume)
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, body, volume, parameters)
     tin = survey.tin

@@ -1,0 +1,94 @@
+"""Plants on the ground and on the body: told from how patches scatter, or known to the user."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.parameters import VolumeParameters
+from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.model.verdict import Doubt
+
+#: Height of what grows, over its scatter.
+COVER = 4.0
+
+
+class KnownCover(NamedTuple):
+    """What the user says of plants. own_ground : whether the base is the ground of the survey ·
+    ground, body : whether it is said of them · shift_m : by how
+    much the body rises higher above the soil than above what returns see · sigma_m : of that
+    """
+
+    own_ground: bool
+    ground: bool
+    body: bool
+    shift_m: float
+    sigma_m: float
+
+    def correction(self, tin: Tin, base: Plane, part: F64, least_m: float) -> tuple[float, float]:
+        """What the plants take from the volume, m³, and its standard deviation. part : (m,) m² of
+        each triangle that counts · least_m : height above the base that belongs to the body.
+        """
+        if self.shift_m == 0.0 and self.sigma_m == 0.0:
+            return 0.0, 0.0
+        area, toe = float(part.sum()), 0.0
+        if self.own_ground:
+            area, toe = body_area(tin, base, part, least_m)
+        return self.shift_m * area, math.hypot(self.sigma_m * area, self.shift_m * toe)
+
+
+def known_cover(v: VolumeParameters, own_ground: bool) -> KnownCover:
+    """The parameters' plants. own_ground : whether the base is the ground of the survey; another
+    base has no plants.
+    """
+    ground = (*v.ground_cover_m, 0.0, 0.0)[:2] if own_ground else (0.0, 0.0)
+    body = (*v.body_cover_m, 0.0, 0.0)[:2]
+    return KnownCover(
+        own_ground,
+        bool(v.ground_cover_m),
+        bool(v.body_cover_m),
+        ground[0] - body[0],
+        math.hypot(ground[1], body[1]),
+    )
+
+
+def body_area(tin: Tin, base: Plane, part: F64, least_m: float) -> tuple[float, float]:
+    """Plan area of a body, m², and how much of it is its toe. What counts has a margin of ground,
+    where plants move surface and base alike: the area above the base is told from those above two
+    heights. part : (m,) m² of each triangle.
+    """
+    height = np.abs(height_above(tin.vertices, base))[tin.triangles].mean(axis=1)
+    once, twice = (float(part[height > k * least_m].sum()) for k in (1.0, 2.0))
+    area = min(2.0 * once - twice, float(part.sum()))
+    return area, area - once
+
+
+def cover_sigma(
+    ground_m: float, body_m: float, area_m2: float, volume_m3: float
+) -> tuple[float, list[Doubt]]:
+    """What plants that nobody told of do to a volume, m³, and the doubt. ground_m, body_m : by how
+    much the ground scatters more than the body, and the body more than the ground.
+    """
+    more = ground_m or body_m
+    if more == 0.0:
+        return 0.0, []
+    sigma = COVER * more * area_m2
+    if ground_m > 0.0:
+        words = (
+            f"the ground scatters {1e3 * more:.2g} mm more than the body, as grass and plants do: "
+            f"the base may lie above the soil by some {1e2 * COVER * more:.2g} cm, {sigma:.3g} m³ "
+            "of sigma; mow, give volume.base level or plane, survey the empty site, or say with "
+            "volume.ground_cover_m how high it is (0, 0: bare)"
+        )
+    else:
+        sigma = min(sigma, abs(volume_m3))  # plants are part of what was measured
+        words = (
+            f"the body scatters {1e3 * more:.2g} mm more than the ground, as plants and rough "
+            f"material do: plants would make it {sigma:.3g} m³ too large, which is in sigma; look "
+            "at it, and mow, or say with volume.body_cover_m how high they are (0, 0: rough, but "
+            "bare)"
+        )
+    return sigma, [Doubt("vegetation", words, more)]
