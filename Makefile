@@ -1,7 +1,8 @@
 # make help lists what there is; each target sets .venv up first.
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
-# one process more than cores: tests of nodes wait for most of their time
+# one process more than cores: tests of nodes wait for most of their time; tests of a file stay
+# together as far as may be, for what they share
 TESTERS := $(shell expr $$(nproc) + 1)
 
 .PHONY: help run test lint bench fuzz mutants wheels noble docs colcon clean
@@ -14,7 +15,7 @@ run: .venv/ready  ## play the bundled surveys through the real nodes, print volu
 	.venv/bin/ladar_volume up --play bags/box --rate 4 -o out/box
 
 test: .venv/ready  ## run the whole test suite
-	$(PY) -m pytest -q -n $(TESTERS)
+	$(PY) -m pytest -q -n $(TESTERS) --dist worksteal
 
 lint: .venv/ready  ## ruff, its formatter and mypy
 	$(PY) -m ruff check .

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
 STAGES = ("georeference", "filter", "volume", "epochs")
-#: The filter of point-cloud files, which no node needs.
-CLOUDS = "clouds"
+#: What no node needs: filter and closed bodies of point-cloud files, and their volumes.
+CLOUDS, CLOUD_VOLUMES = "clouds", "cloud_volumes"
 #: Asks for a dot on stdout for each kernel, in place of lines on stderr.
 TICKS = "--ticks"
 START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
@@ -53,8 +53,8 @@ SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
 @cache
 def warm_up(stage: str) -> None:
-    """Run one of :data:`STAGES` on the made-up survey, or :data:`CLOUDS`; the second call for it in
-    a process does nothing.
+    """Run one of :data:`STAGES` on the made-up survey, or :data:`CLOUDS` or :data:`CLOUD_VOLUMES`;
+    the second call for it in a process does nothing.
     """
     parameters = Parameters.read({"filter": {"radius_m": 0.15}, "volume": {"object_height_m": 0.1}})
     if stage == "georeference":
@@ -64,7 +64,9 @@ def warm_up(stage: str) -> None:
     elif stage == "volume":
         _volume(parameters)
     elif stage == CLOUDS:
-        _filter_clouds()
+        _clouds_and_bodies()
+    elif stage == CLOUD_VOLUMES:
+        _cloud_volumes()
     else:
         _epochs(parameters)
 
@@ -214,22 +216,46 @@ def _epochs(parameters: Parameters) -> None:
     epochs.epoch_difference(kept[1], kept[0])
 
 
-def _filter_clouds() -> None:
-    """A box on the ground, seen evenly, and along the rings of a scanner."""
+def _clouds_and_bodies() -> None:
+    """A box on the ground seen along the rings of a scanner, and one that is closed."""
     filtered = importlib.import_module("ladar_volume.clouds.filter_cloud").filter_cloud
-    parameters = importlib.import_module("ladar_volume.model.cloud_filter_parameters")
+    options = importlib.import_module("ladar_volume.model.cloud_filter_parameters")
+    survey_bodies = importlib.import_module("ladar_volume.clouds.survey.survey_bodies")
     rng = np.random.default_rng(1)
-    xy = rng.uniform(-2.0, 2.0, (6000, 2))
     ring, turn = (
         np.deg2rad(np.repeat(np.arange(-30.0, -5.0, 2.0), 400)),
         np.linspace(0.0, 6.28, 400),
     )
     reach = 2.0 / np.tan(-ring)
     lines = reach[:, None] * np.c_[np.cos(np.tile(turn, 13)), np.sin(np.tile(turn, 13))]
-    for places in (xy, lines):
-        top = np.where(np.abs(places).max(axis=1) < 1.0, 0.6, 0.0)
-        r = np.column_stack([places, top + rng.normal(0.0, 0.005, len(places))])
-        filtered(r, parameters.FilterParameters(), auto=True)
+    filtered(_box_from_above(lines, rng), options.FilterParameters(), auto=True)
+    along, up = rng.uniform(-1.0, 1.0, (2, 1500))
+    one, up = np.ones(1500), 0.3 + 0.3 * up
+    walls = np.r_[
+        np.c_[along, one, up], np.c_[along, -one, up], np.c_[one, along, up], np.c_[-one, along, up]
+    ]
+    walls += rng.normal(0.0, 0.005, walls.shape)
+    seen = np.r_[_box_from_above(rng.uniform(-2.0, 2.0, (6000, 2)), rng), walls]
+    with contextlib.suppress(LadarVolumeError):  # whether it can be closed is not asked here
+        survey_bodies.mesh_returns(seen, Parameters())
+
+
+def _box_from_above(xy: F64, rng: np.random.Generator) -> F64:
+    """Points (n, 3) m at places (n, 2) of a box of 2 by 2 by 0.6 m and the ground around it."""
+    top = np.where(np.abs(xy).max(axis=1) < 1.0, 0.6, 0.0)
+    return np.column_stack([xy, top + rng.normal(0.0, 0.005, len(xy))])
+
+
+def _cloud_volumes() -> None:
+    """A mound above its ground, and above a level with fewer vertices."""
+    measured = importlib.import_module("ladar_volume.api.verbs").volume
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-2.0, 2.0, (6000, 2))
+    z = np.maximum(0.0, 0.8 - np.hypot(xy[:, 0], xy[:, 1])) + rng.normal(0.0, 0.005, len(xy))
+    mound = np.column_stack([xy, z])
+    with contextlib.suppress(LadarVolumeError):
+        measured(mound, "ground")
+        measured(mound, 0.2, vertices=0.3, exchange="asd")
 
 
 def _estimate(estimator: VolumeEstimator) -> None:

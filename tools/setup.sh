@@ -75,10 +75,10 @@ rm -rf build ladar_volume.egg-info
 # where the environment forbids Python to write bytecode, every process would compile it anew
 .venv/bin/python -m compileall -q ladar_volume
 # once, so that the first survey does not wait for it
-echo "Compiling the kernels (one to two minutes)"
+echo "Compiling the kernels (a few minutes)"
 compiling=()
 # stages that share kernels one after the other
-for stages in "volume epochs georeference" filter clouds; do
+for stages in "volume epochs georeference" "filter cloud_volumes" clouds; do
     # shellcheck disable=SC2086
     .venv/bin/python -m ladar_volume.compile_kernels $stages &
     compiling+=($!)
