@@ -126,7 +126,7 @@ def difference_kernel(
     for i in numba.prange(len(begin) - 1):
         for e in range(begin[i], begin[i + 1]):
             j = column[e]
-            own[e] = entry(own_start, own_column, own_value, i, j)
+            own[e] = entry(own_start, own_column, own_value, np.int64(i), j)
             for a in range(3):
                 for b in range(3):
                     w = weight[i, a] * weight[j, b]

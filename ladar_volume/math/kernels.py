@@ -4,6 +4,9 @@ Both release the GIL and cache their machine code. Parallel kernels write each o
 exactly one iteration and never reduce a float over iterations, so results do not depend on the
 number of threads.
 
+The index of a parallel loop is unsigned while the loop is lowered and signed before: a kernel that
+takes it is compiled for both, unless it is handed ``np.int64(index)``.
+
 A parallel kernel that takes a record (a NamedTuple of arrays) writes to its arrays only through a
 kernel of one thread that its loop calls: numba's parallel pass does not see that a field is one of
 the arguments, and drops a write to it in the loop itself as dead.

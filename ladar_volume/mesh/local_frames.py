@@ -127,9 +127,9 @@ def link_signs(points: F64, normals: F64, index: I64) -> F64:
                 + normals[i, 2] * normals[j, 2]
             )
             s = 1.0 if dot >= 0.0 else -1.0
-            off, other = offset_from_surface(x, y, z, normals, i, j, s) / length, 1.0
+            off, other = offset_from_surface(x, y, z, normals, np.int64(i), j, s) / length, 1.0
             if abs(dot) < SMOOTH:
-                other = offset_from_surface(x, y, z, normals, i, j, -s) / length
+                other = offset_from_surface(x, y, z, normals, np.int64(i), j, -s) / length
                 if other < off:
                     s, off, other = -s, other, off
             # between parallel planes, one over the other, a connection says nothing

@@ -118,7 +118,7 @@ def candidates(pairs: Pairs, balls: Balls, store: VoxelArrays, fill: bool, count
     ``fill`` listed from ``offset`` on.
     """
     for row in numba.prange(len(pairs.rows)):
-        _candidates_of(row, pairs, balls, store, fill, counts)
+        _candidates_of(np.int64(row), pairs, balls, store, fill, counts)
 
 
 @parallel_kernel
@@ -313,4 +313,4 @@ def cross_blocks(
     members, see :func:`local_slots`
     """
     for chunk in numba.prange(chunks):
-        _blocks_of(chunk, chunks, pairs, store, fits, slots, p, out)
+        _blocks_of(np.int64(chunk), chunks, pairs, store, fits, slots, p, out)

@@ -396,4 +396,4 @@ def sensitivities(
     bins have their say.
     """
     for i_row in numba.prange(len(rows)):
-        _sensitivities_of(i_row, rows[i_row], store, fits, p, mount, out)
+        _sensitivities_of(np.int64(i_row), rows[i_row], store, fits, p, mount, out)

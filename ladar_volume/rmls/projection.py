@@ -208,7 +208,7 @@ def project(
     Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
     for i_row in numba.prange(len(rows)):
-        _project_row(i_row, rows, store, fits, C_beta, p, edge, out)
+        _project_row(np.int64(i_row), rows, store, fits, C_beta, p, edge, out)
 
 
 @kernel

@@ -241,7 +241,7 @@ def fit_patches(store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
     ``members[start[a] : start[a] + used[a]]``. start : (m + 1,) room for the candidates of each.
     """
     for a in numba.prange(len(fits.voxels)):
-        _fit_row(a, store, rule, fits)
+        _fit_row(np.int64(a), store, rule, fits)
 
 
 @kernel

@@ -264,7 +264,7 @@ def overlay_kernel(
     left = CHUNKS
     while left > 0:
         for chunk in numba.prange(CHUNKS):
-            chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, pair, into)
+            chunk_kernel(np.int64(chunk), (chunk + 1) * m // CHUNKS, state, pair, into)
         if both:
             add_kept_pieces(state, ids, rows, back)
         left = 0

@@ -110,4 +110,4 @@ def scatter(r: F64, near: I64, seed: int, sigma: F64) -> None:
     3), from a robust quadric, a plane where they are too few; NaN where they have no extent.
     """
     for s in numba.prange(len(near)):
-        sigma[s] = _scatter_of(s, r, near[s], seed)
+        sigma[s] = _scatter_of(np.int64(s), r, near[s], seed)

@@ -288,7 +288,9 @@ def thin_sample(whole: PointSample, least: int) -> Any:
     needs.
     """
     stride = (whole.m + SEEN - 1) // SEEN
-    y = whole.x[: whole.m : stride]
+    y = whole.x[
+        : whole.m : stride
+    ].copy()  # of one layout with a whole neighbourhood: compiled once
     need = max(least // stride, np.int64(CHANCE * len(y)), 1)
     return PointSample(y, len(y), whole.m, whole.sigma, whole.threshold), need
 

@@ -73,7 +73,7 @@ def _mean_square(i: int, d: F64, normal: F64, noise: F64, near: I64) -> float:
 def _mean_squares(d: F64, normal: F64, noise: F64, near: I64, out: F64) -> None:
     """Of all points (n,), from residuals d (n, 3) and neighbours (n, k)."""
     for i in numba.prange(len(d)):
-        out[i] = _mean_square(i, d, normal, noise, near)
+        out[i] = _mean_square(np.int64(i), d, normal, noise, near)
 
 
 @parallel_kernel
