@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from scipy.sparse import csr_array
 
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
@@ -126,7 +126,7 @@ def difference_kernel(
     for i in numba.prange(len(begin) - 1):
         for e in range(begin[i], begin[i + 1]):
             j = column[e]
-            own[e] = entry(own_start, own_column, own_value, np.int64(i), j)
+            own[e] = entry(own_start, own_column, own_value, signed(i), j)
             for a in range(3):
                 for b in range(3):
                     w = weight[i, a] * weight[j, b]

@@ -22,6 +22,7 @@ from ladar_volume.clouds.ground_cover import (
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.clouds.sampling.cloud_objects import STEP
+from ladar_volume.clouds.sampling.layers import layer_doubts, two_layers
 from ladar_volume.clouds.sampling.objects_beside import beside_doubts, objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
@@ -31,11 +32,12 @@ from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
-from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.plant_cover import known_cover
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import wall_m6
@@ -345,11 +347,27 @@ def volume_with_verdict(
         doubts += below_base(found) + beside_doubts(surface, inside, (least, found.net_m3))
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     found = with_readings(found, readings)
-    if readings is not None:
-        found, more = with_growth(found, surface, base, inside, parameters.volume)
-        doubts += more
+    own = with_growth if readings is not None else with_site_above
+    found, more = own(found, surface, base, inside, parameters.volume)
+    doubts += more
     found = with_known_cover(found, tin, base, inside, parameters.volume)
     return found, Verdict(tuple(doubts))
+
+
+def with_site_above(
+    volume: CloudVolume, surface: CloudSurface, base: Plane, inside: F64, v: VolumeParameters
+) -> tuple[CloudVolume, list[Doubt]]:
+    """The volume of a site above a base that is not its own ground, with what two layers of points
+    do to it, and what notches of the survey may hold.
+    """
+    tin, doubts = surface.representation.tin, list[Doubt]()
+    if v.outline == "all":
+        size = volume.cut_m3 + volume.fill_m3
+        doubts += notch_doubts(tin, base, size, volume.sigma_m3)
+    source = tin.source[vertex_mask(tin, inside > 0)]
+    layers = two_layers(surface.points, source[source >= 0].astype(np.int64))
+    told, sigma = layer_doubts(layers, volume.area_m2, volume.sigma_m3)
+    return with_lines(volume, {"layers": sigma**2}) if told else volume, doubts + told
 
 
 def with_missing(

@@ -5,7 +5,7 @@ exactly one iteration and never reduce a float over iterations, so results do no
 number of threads.
 
 The index of a parallel loop is unsigned while the loop is lowered and signed before: a kernel that
-takes it is compiled for both, unless it is handed ``np.int64(index)``.
+takes it is compiled for both, unless it is handed ``signed(index)``.
 
 A parallel kernel that takes a record (a NamedTuple of arrays) writes to its arrays only through a
 kernel of one thread that its loop calls: numba's parallel pass does not see that a field is one of
@@ -61,6 +61,12 @@ def leaf_kernel(function: F) -> F:
     keep(compiled)
     result: F = compiled
     return result
+
+
+@leaf_kernel
+def signed(index: int) -> Any:
+    """The index of a parallel loop as any other."""
+    return np.int64(index)
 
 
 def parallel_kernel(function: F) -> F:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.model.records import F64, I64
 
 #: Neighbours that carry the sign of a normal, and those a plane is fitted to where no normals are
@@ -127,9 +127,9 @@ def link_signs(points: F64, normals: F64, index: I64) -> F64:
                 + normals[i, 2] * normals[j, 2]
             )
             s = 1.0 if dot >= 0.0 else -1.0
-            off, other = offset_from_surface(x, y, z, normals, np.int64(i), j, s) / length, 1.0
+            off, other = offset_from_surface(x, y, z, normals, signed(i), j, s) / length, 1.0
             if abs(dot) < SMOOTH:
-                other = offset_from_surface(x, y, z, normals, np.int64(i), j, -s) / length
+                other = offset_from_surface(x, y, z, normals, signed(i), j, -s) / length
                 if other < off:
                     s, off, other = -s, other, off
             # between parallel planes, one over the other, a connection says nothing

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I32, I64, U32, Bool
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import polynomial_row as row_of
@@ -118,7 +118,7 @@ def candidates(pairs: Pairs, balls: Balls, store: VoxelArrays, fill: bool, count
     ``fill`` listed from ``offset`` on.
     """
     for row in numba.prange(len(pairs.rows)):
-        _candidates_of(np.int64(row), pairs, balls, store, fill, counts)
+        _candidates_of(signed(row), pairs, balls, store, fill, counts)
 
 
 @parallel_kernel
@@ -313,4 +313,4 @@ def cross_blocks(
     members, see :func:`local_slots`
     """
     for chunk in numba.prange(chunks):
-        _blocks_of(np.int64(chunk), chunks, pairs, store, fits, slots, p, out)
+        _blocks_of(signed(chunk), chunks, pairs, store, fits, slots, p, out)

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I32, I64
-from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel, signed
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
 from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
@@ -396,4 +396,4 @@ def sensitivities(
     bins have their say.
     """
     for i_row in numba.prange(len(rows)):
-        _sensitivities_of(np.int64(i_row), rows[i_row], store, fits, p, mount, out)
+        _sensitivities_of(signed(i_row), rows[i_row], store, fits, p, mount, out)

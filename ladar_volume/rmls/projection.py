@@ -15,7 +15,7 @@ import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I64, U64
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel, signed
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
@@ -208,7 +208,7 @@ def project(
     Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
     for i_row in numba.prange(len(rows)):
-        _project_row(np.int64(i_row), rows, store, fits, C_beta, p, edge, out)
+        _project_row(signed(i_row), rows, store, fits, C_beta, p, edge, out)
 
 
 @kernel

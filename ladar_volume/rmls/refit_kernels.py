@@ -14,7 +14,7 @@ import numpy as np
 
 from ladar_volume.math.array_types import F64, I16, I32, I64, Bool
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.rmls import patch_fit
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.patch_fit import REACH, StartRule
@@ -241,7 +241,7 @@ def fit_patches(store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
     ``members[start[a] : start[a] + used[a]]``. start : (m + 1,) room for the candidates of each.
     """
     for a in numba.prange(len(fits.voxels)):
-        _fit_row(np.int64(a), store, rule, fits)
+        _fit_row(signed(a), store, rule, fits)
 
 
 @kernel

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tin.locate import CHUNKS, search_boxes
 from ladar_volume.volume.triangle_clipping import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
@@ -264,7 +264,7 @@ def overlay_kernel(
     left = CHUNKS
     while left > 0:
         for chunk in numba.prange(CHUNKS):
-            chunk_kernel(np.int64(chunk), (chunk + 1) * m // CHUNKS, state, pair, into)
+            chunk_kernel(signed(chunk), (chunk + 1) * m // CHUNKS, state, pair, into)
         if both:
             add_kept_pieces(state, ids, rows, back)
         left = 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from ladar_volume.math.array_types import F64, I64, U64
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.rmls.patch_fit import StartRule, start_plane
 from ladar_volume.rmls.tangent_frame import (
     Frame,
@@ -110,4 +110,4 @@ def scatter(r: F64, near: I64, seed: int, sigma: F64) -> None:
     3), from a robust quadric, a plane where they are too few; NaN where they have no extent.
     """
     for s in numba.prange(len(near)):
-        sigma[s] = _scatter_of(np.int64(s), r, near[s], seed)
+        sigma[s] = _scatter_of(signed(s), r, near[s], seed)

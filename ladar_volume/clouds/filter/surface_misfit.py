@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, signed
 from ladar_volume.model.records import F64, I64
 
 #: Neighbours whose mean residual is taken, few and many: what is off beside an edge changes sign
@@ -73,7 +73,7 @@ def _mean_square(i: int, d: F64, normal: F64, noise: F64, near: I64) -> float:
 def _mean_squares(d: F64, normal: F64, noise: F64, near: I64, out: F64) -> None:
     """Of all points (n,), from residuals d (n, 3) and neighbours (n, k)."""
     for i in numba.prange(len(d)):
-        out[i] = _mean_square(np.int64(i), d, normal, noise, near)
+        out[i] = _mean_square(signed(i), d, normal, noise, near)
 
 
 @parallel_kernel

@@ -42,6 +42,7 @@ from ladar_volume.volume.field_checks.gaps import (
     gap_doubts,
     hidden_m6,
 )
+from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
 from ladar_volume.volume.field_checks.plant_cover import cover_sigma, known_cover
 from ladar_volume.volume.field_checks.sight_lines import patch_views
@@ -421,6 +422,8 @@ def assess_field(
     chosen_m6 = volume.budget_m6.get("base_model", 0.0)
     sigma = math.sqrt(max(volume.sigma_m3**2 - chosen_m6, 0.0))
     doubts = completeness_doubts(tin, footing.base, footing.inside, on_face, sigma, parameters)
+    if parameters.volume.outline == "all":
+        doubts += notch_doubts(tin, footing.base, volume.volume_m3, sigma)
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
     if any(doubt.name == "cut" for doubt in doubts):
         missing = cut_m6(tin, footing.base, part, normal, volume.volume_m3, parameters)

@@ -1,0 +1,89 @@
+"""Notches: where a survey reaches in from its edge, narrow and deep, and nothing was measured. What
+everything above a level adds up to has no part in them, without a hole that could be bridged.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.boundary import border, parts_kernel
+from ladar_volume.tin.full_tin import footprint_areas
+
+#: Depth over mean width above which a bay of the outline is a notch: a corner that is missing has
+#: 1, half a circle 0.64.
+DEEP = 1.25
+#: What a notch may hold: in standard deviations, and in shares of the volume.
+SIGMAS, SHARE = 3.0, 0.01
+#: Bays that are looked at, the largest first, and border points of each.
+MOST, POINTS = 20, 500
+
+
+def notch_doubts(tin: Tin, base: Plane, size_m3: float, sigma_m3: float) -> list[Doubt]:
+    """Each notch that may hold more than three sigma and 1 % of a volume above a base. Its surface
+    is drawn straight from rim to rim.
+    """
+    outside = ~tin.relevant
+    part = parts_kernel(tin.neighbours, outside)
+    if not outside.any():
+        return []
+    area = footprint_areas(tin.vertices, tin.triangles)
+    held = area * height_above(tin.vertices, base)[tin.triangles].mean(axis=1)
+    areas, volumes = (np.bincount(part[outside], x[outside]) for x in (area, held))
+    least = max(SIGMAS * sigma_m3, SHARE * abs(size_m3))
+    found = []
+    for k in np.argsort(-np.abs(volumes))[:MOST].tolist():
+        if not abs(volumes[k]) > least:
+            break
+        depth = depth_of(tin, part == k)
+        if depth > DEEP * areas[k] / max(depth, 1e-300):
+            middle = tin.vertices[tin.triangles[part == k]].mean(axis=1)[:, :2]
+            own = area[part == k]
+            found.append(words_of(own @ middle / own.sum(), areas[k], depth, volumes[k]))
+    return found
+
+
+def depth_of(tin: Tin, bay: Bool) -> float:
+    """How far, m, triangles (m,) reach in from the hull: the greatest distance of their rim to
+    their sides on it.
+    """
+    ends, _, open_ = border(tin, bay)
+    hull = np.zeros(len(ends), np.bool_)
+    hull[open_] = on_hull(tin, ends[open_])
+    if not hull.any() or hull.all():
+        return 0.0
+    rim = tin.vertices[np.unique(ends[~hull]), :2]
+    rim = rim[:: math.ceil(len(rim) / POINTS)]
+    a, b = (tin.vertices[ends[hull, j], :2] for j in (0, 1))
+    return float(segment_distances(rim, a, b).min(axis=1).max())
+
+
+def on_hull(tin: Tin, ends: I32) -> Bool:
+    """Which sides with these ends (b, 2) border nothing at all."""
+    t, k = np.nonzero(tin.neighbours < 0)
+    sides = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
+    n = np.int64(len(tin.vertices))
+    return np.isin(ends[:, 0] * n + ends[:, 1], sides[:, 0] * n + sides[:, 1])
+
+
+def segment_distances(p: F64, a: F64, b: F64) -> F64:
+    """Distances (n, k) m of points (n, 2) from segments from a to b (k, 2)."""
+    d = b - a
+    along = np.einsum("nkj,kj->nk", p[:, None] - a, d) / np.maximum((d**2).sum(axis=1), 1e-300)
+    foot = a + np.clip(along, 0.0, 1.0)[..., None] * d
+    out: F64 = np.linalg.norm(p[:, None] - foot, axis=2)
+    return out
+
+
+def words_of(at: F64, area_m2: float, depth_m: float, held_m3: float) -> Doubt:
+    """What to do about a notch."""
+    words = (
+        f"nothing was measured on {area_m2:.3g} m² about ({at[0]:.1f}, {at[1]:.1f}) m, a notch "
+        f"{depth_m:.3g} m deep from the edge of the survey: some {held_m3:.3g} m³ may lie in it "
+        "and are not counted; survey it, or draw the outline that counts"
+    )
+    return Doubt("notch", words, held_m3)
