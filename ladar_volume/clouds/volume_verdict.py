@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
+from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges, spacing_of
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, has_selected_vertices
 from ladar_volume.clouds.ground_cover import (
@@ -248,7 +248,7 @@ def with_gaps(
     gap_mask = np.zeros(len(tin.triangles), np.bool_)
     if base is None or surface.sigma_m is None or math.isnan(volume.sigma_m3):
         return volume, gap_mask, []
-    gaps = find_gaps(tin, inside)
+    gaps = find_gaps(tin, inside, spacing_of(surface))
     if not len(gaps.areas):
         return volume, gap_mask, []
     found = bridged_volume(tin, base, inside, surface.vertex_variance, gaps)

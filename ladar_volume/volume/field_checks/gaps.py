@@ -126,20 +126,28 @@ def within_hull(xy: F64, tin: Tin, rows: I64) -> Bool:
     return out
 
 
-def find_gaps(tin: Tin, inside_m2: F64) -> Gaps:
-    """The gaps of the triangles that count, with their area inside_m2 (m,) m²."""
+def find_gaps(tin: Tin, inside_m2: F64, spacing_m: F64 | None = None) -> Gaps:
+    """The gaps of the triangles that count, with their area inside_m2 (m,) m². spacing_m : (n,) of
+    the vertices, where points lie closer in one place than in another; what is usual is the median
+    edge, or the spacing at two corners of a triangle: a lone point in a gap tells of none.
+    """
     inside = inside_m2 > 0.0
     longest = edge_lengths(tin, inside).max(axis=1)
     usual = float(np.median(longest)) if len(longest) else 0.0
+    here = np.full(len(inside), usual)
+    if spacing_m is not None:
+        near = np.where(np.isfinite(spacing_m), spacing_m, 0.0)[tin.triangles[inside]]
+        here[inside] = np.maximum(usual, np.median(near, axis=1))
     wide = inside.copy()
-    wide[inside] = longest > GAP * usual
+    wide[inside] = longest > GAP * here[inside]
     number = np.full(len(inside), -1, np.int64)
     if not wide.any():
         return Gaps(number, np.zeros(0), usual)
     part = components(tin, wide)
     area: F64 = np.bincount(part[wide], inside_m2[wide]).astype(np.float64)
+    square = np.bincount(part[wide], here[wide] ** 2) / np.bincount(part[wide])
     order = np.argsort(-area, kind="stable")
-    order = order[area[order] > (LEAST * usual) ** 2]
+    order = order[area[order] > LEAST**2 * square[order]]
     rank = np.full(len(area), -1, np.int64)
     rank[order] = np.arange(len(order))
     number[wide] = rank[part[wide]]
