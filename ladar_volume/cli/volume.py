@@ -209,7 +209,7 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     shared = height_errors(arguments)
     common_material(arguments)
     flight = check_trajectory(arguments)
-    if parameters.volume.ground_cover_m or parameters.volume.body_cover_m:
+    if parameters.volume.names_plants:
         check_cover(arguments)
     return VolumeTask(arguments, parameters, base, options, levels, None, correct, shared, flight)
 

@@ -25,7 +25,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin, first_corners
 from ladar_volume.tin.locate import barycentric, locate_in_delaunay
 from ladar_volume.tin.relevant import circle_kernel
-from ladar_volume.tin.sampled_area import FEWEST, spacings
+from ladar_volume.tin.sampled_area import FEWEST
 
 #: Cells of the coarser surface, in spacings; blocks of differences, in such cells.
 CELL, BLOCK = 1.5, 3.0
@@ -89,7 +89,7 @@ def between_points(
     tin = surface.representation.tin
     counts = inside if unknown is None else np.where(unknown, inside, 0.0)
     hidden = bridged_deviation(surface, counts, height)
-    spacing, own = spacing_of(surface), along_own_axes(tin.vertices[:, :2])
+    spacing, own = surface.spacing_m, along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
@@ -336,13 +336,6 @@ def bridged_deviation(surface: CloudSurface, inside: F64, height: F64) -> float:
     tin, own = surface.representation.tin, bridges(surface) & (inside > 0)
     corner = height[tin.triangles[own]]
     return float((inside[own] * np.ptp(corner, axis=1)).sum()) / 3.0
-
-
-def spacing_of(surface: CloudSurface) -> F64:
-    """How far apart the vertices lie around each, (n,) m."""
-    tin, found = surface.representation.tin, surface.representation.sampled_area
-    known = found is not None and len(found.spacings_m) == len(tin.vertices)
-    return found.spacings_m if found is not None and known else spacings(tin.vertices[:, :2])
 
 
 def bridges(surface: CloudSurface) -> Bool:

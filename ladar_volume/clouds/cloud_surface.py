@@ -27,6 +27,7 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.tin.represent import RepresentedSurface, represent
+from ladar_volume.tin.sampled_area import spacings
 from ladar_volume.uncertainty.shared_heights import shared_variances
 
 #: Share of strays that moves the noise by less than a thousandth: each is a neighbour in eighteen
@@ -97,6 +98,14 @@ class CloudSurface:
             return out
         raw = self.representation.by_heights(gradient_z, len(self.points))
         return out | self.flight.lines(self.points, self.slopes, raw)
+
+    @cached_property
+    def spacing_m(self) -> F64:
+        """How far apart the vertices lie around each, (n,) m."""
+        tin, found = self.representation.tin, self.representation.sampled_area
+        if found is not None and len(found.spacings_m) == len(tin.vertices):
+            return found.spacings_m
+        return spacings(tin.vertices[:, :2])
 
     @cached_property
     def slopes(self) -> F64:

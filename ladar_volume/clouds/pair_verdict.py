@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.change.surface_difference import difference
-from ladar_volume.clouds.between_points import between_points, spacing_of
+from ladar_volume.clouds.between_points import between_points
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
@@ -149,7 +149,7 @@ def with_pair_gaps(
     doubts: list[Doubt] = []
     for surface, inside, sign in zip(surfaces, areas, (1.0, -1.0), strict=True):
         tin = surface.representation.tin
-        gaps = find_gaps(tin, inside, spacing_of(surface))
+        gaps = find_gaps(tin, inside, surface.spacing_m)
         if not len(gaps.areas):
             continue
         level = design_surface([float(np.median(tin.vertices[:, 2]))])

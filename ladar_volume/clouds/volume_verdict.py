@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges, spacing_of
+from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, has_selected_vertices
 from ladar_volume.clouds.ground_cover import (
@@ -248,7 +248,7 @@ def with_gaps(
     gap_mask = np.zeros(len(tin.triangles), np.bool_)
     if base is None or surface.sigma_m is None or math.isnan(volume.sigma_m3):
         return volume, gap_mask, []
-    gaps = find_gaps(tin, inside, spacing_of(surface))
+    gaps = find_gaps(tin, inside, surface.spacing_m)
     if not len(gaps.areas):
         return volume, gap_mask, []
     found = bridged_volume(tin, base, inside, surface.vertex_variance, gaps)
@@ -324,10 +324,9 @@ def volume_with_verdict(
     triangle that counts · readings : of the ground, where it is the cloud's own · base : that
     heights count from.
     """
-    tin, by_body = surface.representation.tin, parameters.volume.outline == "auto"
-    volume, gap_mask, gaps = with_gaps(
-        volume, surface, inside, base, parameters.volume.outline != "all"
-    )
+    tin, v = surface.representation.tin, parameters.volume
+    by_body = v.outline == "auto"
+    volume, gap_mask, gaps = with_gaps(volume, surface, inside, base, v.outline != "all")
     height = height_above(tin.vertices, base)
     between = between_points(surface, inside, height, ~gap_mask)
     found = with_edge(with_between_points(volume, between), surface, inside, height, by_body)
@@ -335,39 +334,36 @@ def volume_with_verdict(
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found) + coarse_doubts(found, between)
-    if base is None or math.isnan(found.sigma_m3):
+    if base is None:
         return with_readings(found, readings), Verdict(tuple(doubts))
-    rise, least = parameters.volume.object_height_m, parameters.volume.min_body_m3
+    if math.isnan(found.sigma_m3):
+        return with_known_cover(found, tin, base, inside, v), Verdict(tuple(doubts))
     doubts += object_doubts(objects_within(surface, inside), found.sigma_m3)
     faces = np.zeros(len(tin.vertices), np.bool_)
     if by_body or any(doubt.name == "object" for doubt in doubts):
-        faces = faces_around(surface, base, inside, rise)
+        faces = faces_around(surface, base, inside, v.object_height_m)
     if by_body:
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
-        doubts += below_base(found) + beside_doubts(surface, inside, (least, found.net_m3))
+        doubts += below_base(found) + beside_doubts(surface, inside, (v.min_body_m3, found.net_m3))
+    elif v.outline == "all":
+        doubts += notch_doubts(tin, base, found.cut_m3 + found.fill_m3, found.sigma_m3)
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
-    found = with_readings(found, readings)
-    own = with_growth if readings is not None else with_site_above
-    found, more = own(found, surface, base, inside, parameters.volume)
-    doubts += more
-    found = with_known_cover(found, tin, base, inside, parameters.volume)
-    return found, Verdict(tuple(doubts))
+    own = with_growth if readings is not None else with_layers
+    found, more = own(with_readings(found, readings), surface, base, inside, v)
+    found = with_known_cover(found, tin, base, inside, v)
+    return found, Verdict((*doubts, *more))
 
 
-def with_site_above(
+def with_layers(
     volume: CloudVolume, surface: CloudSurface, base: Plane, inside: F64, v: VolumeParameters
 ) -> tuple[CloudVolume, list[Doubt]]:
-    """The volume of a site above a base that is not its own ground, with what two layers of points
-    do to it, and what notches of the survey may hold.
+    """The volume above a base that is not the cloud's own ground, which two layers of points would
+    lift as well, with what they do to it.
     """
-    tin, doubts = surface.representation.tin, list[Doubt]()
-    if v.outline == "all":
-        size = volume.cut_m3 + volume.fill_m3
-        doubts += notch_doubts(tin, base, size, volume.sigma_m3)
-    source = tin.source[vertex_mask(tin, inside > 0)]
+    source = surface.representation.tin.source[vertex_mask(surface.representation.tin, inside > 0)]
     layers = two_layers(surface.points, source[source >= 0].astype(np.int64))
-    told, sigma = layer_doubts(layers, volume.area_m2, volume.sigma_m3)
-    return with_lines(volume, {"layers": sigma**2}) if told else volume, doubts + told
+    doubts, sigma = layer_doubts(layers, volume.area_m2, volume.sigma_m3)
+    return with_lines(volume, {"layers": sigma**2}) if doubts else volume, doubts
 
 
 def with_missing(

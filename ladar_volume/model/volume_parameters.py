@@ -126,6 +126,11 @@ class VolumeParameters:
         vector=0,
     )
 
+    @property
+    def names_plants(self) -> bool:
+        """Whether a height of plants is given, be it 0."""
+        return bool(self.ground_cover_m or self.body_cover_m)
+
     def check(self) -> None:
         """Whether each has its effect beside the others; raises a ConfigurationError."""
         for name in ("ground_cover_m", "body_cover_m"):

@@ -27,15 +27,16 @@ def reasons(facts):
     return {d["name"]: d for d in facts["verdict"]["reasons"]}
 
 
+@pytest.mark.parametrize("base", [["--level", "0"], ["--base", "ground"]])
 @pytest.mark.parametrize("name", LOST)
-def test_a_notch_of_a_cloud_is_named_with_what_it_may_hold(name, tmp_path, capsys):
+def test_a_notch_of_a_cloud_is_named_with_what_it_may_hold(name, base, tmp_path, capsys):
     lost, is_notch = LOST[name]
     rng = np.random.default_rng(4)
     xy = rng.uniform(-8.0, 8.0, (15_000, 2))
     xy = xy[~lost(*xy.T)]
     z = 4.0 * cone(*xy.T, radius=6.0, top=1.0) + rng.normal(0.0, 0.005, len(xy))
     write_cloud(tmp_path / "cloud.ply", np.c_[xy, z], None)
-    words = ["--level", "0", "--outline", "all", "--units", "m", "--json"]
+    words = [*base, "--outline", "all", "--units", "m", "--json"]
     assert main(["volume", str(tmp_path / "cloud.ply"), *words]) == 0
     found = reasons(json.loads(capsys.readouterr().out))
     assert ("notch" in found) == is_notch

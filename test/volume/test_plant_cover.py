@@ -126,6 +126,16 @@ def test_a_cloud_with_grass_is_put_right_too(meadow, capsys):
     assert math.sqrt(right["budget_m6"]["vegetation"]) == pytest.approx(SIGMA_M * FOOT_M2, rel=0.2)
 
 
+def test_a_volume_of_unknown_noise_is_put_right_too(tmp_path, capsys):
+    roof = np.array([(0, 0, 0.5), (4, 0, 1), (4, 3, 2), (0, 3, 1), (2, 1.5, 3)], float)
+    write_cloud(tmp_path / "one.ply", roof, None)
+    level = ("--level", "0", "--set", "volume.body_cover_m=[0.1,0.02]")
+    _, found, _ = said(capsys, tmp_path, *level)
+    _, seen, _ = said(capsys, tmp_path, "--level", "0")
+    assert found["sigma_m3"] is None
+    assert found["net_m3"] == pytest.approx(seen["net_m3"] - 0.1 * 12.0)
+
+
 def test_piles_are_put_right_above_every_base(meadow, capsys):
     words = ("--piles", "found", "--base", "toe_plane")
     _, seen, _ = said(capsys, meadow, *words)

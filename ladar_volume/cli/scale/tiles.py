@@ -71,7 +71,7 @@ def requested_parameters(a: argparse.Namespace) -> Parameters:
         raise ConfigurationError(words, value=a.base)
     parameters, base = parameters_of(a)
     outline = parameters.volume.outline
-    if parameters.volume.ground_cover_m or parameters.volume.body_cover_m:
+    if parameters.volume.names_plants:
         words = "volume.ground_cover_m and body_cover_m are not told by tiles: leave them out"
         raise ConfigurationError(words)
     if outline != "all" and (outline == "polygon" or base != "ground"):

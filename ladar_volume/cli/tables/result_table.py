@@ -70,27 +70,21 @@ def _add_corrections(head: Table, result: Mapping[str, Any]) -> None:
             f"m² near the base ({fix['name']})"
         )
         head.add_row("corrected", words)
-    chords = result["chord_m3"]
-    if abs(chords) >= 5e-4:
-        words = (
-            f"{chords:+.3f} m³ of the mesh over hollows and under crests, taken out "
-            f"({result['volume_m3'] + chords:.3f} m³ with them)"
-        )
-        head.add_row("chords", words)
-    smoothed = result["smoothing_m3"]
-    if abs(smoothed) >= 5e-4:
-        words = (
-            f"{smoothed:+.3f} m³ that the filter's fits round off, as at the toe, taken out "
-            f"({result['volume_m3'] + smoothed:.3f} m³ with it)"
-        )
-        head.add_row("smoothing", words)
-    cover = result["cover_m3"]
-    if abs(cover) >= 5e-4:
-        words = (
-            f"{cover:+.3f} m³ added for plants of the height that was given "
-            f"({result['volume_m3'] - cover:.3f} m³ as seen)"
-        )
-        head.add_row("plants", words)
+    v, chords, cover = (result[key] for key in ("volume_m3", "chord_m3", "cover_m3"))
+    rounded = result["smoothing_m3"]
+    mesh, fits = "of the mesh over hollows and under crests", "that fits of the filter round off"
+    for name, m3, what, before in (
+        ("chords", chords, f"{mesh}, taken out", f"{v + chords:.3f} m³ with them"),
+        (
+            "smoothing",
+            rounded,
+            f"{fits} at the toe, taken out",
+            f"{v + rounded:.3f} m³ with it",
+        ),
+        ("plants", cover, "added for the plants' given height", f"{v - cover:.3f} m³ as seen"),
+    ):
+        if abs(m3) >= 5e-4:
+            head.add_row(name, f"{m3:+.3f} m³ {what} ({before})")
 
 
 def _add_body_rows(head: Table, result: Mapping[str, Any]) -> None:

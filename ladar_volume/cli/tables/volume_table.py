@@ -112,7 +112,7 @@ def _add_base_rows(table: Table, facts: Mapping[str, Any]) -> None:
         )
         table.add_row("corrected", f"{words} ({fix['name']})")
     if facts["cover_m3"]:
-        table.add_row("plants", f"{facts['cover_m3']:+.4f} m³ added for the height that was given")
+        table.add_row("plants", f"{facts['cover_m3']:+.4f} m³ added for their given height")
 
 
 def _add_source_rows(table: Table, each: Mapping[str, Any]) -> None:

@@ -288,9 +288,8 @@ def thin_sample(whole: PointSample, least: int) -> Any:
     needs.
     """
     stride = (whole.m + SEEN - 1) // SEEN
-    y = whole.x[
-        : whole.m : stride
-    ].copy()  # of one layout with a whole neighbourhood: compiled once
+    # a copy has the layout of a whole neighbourhood: what takes either is compiled once
+    y = whole.x[: whole.m : stride].copy()
     need = max(least // stride, np.int64(CHANCE * len(y)), 1)
     return PointSample(y, len(y), whole.m, whole.sigma, whole.threshold), need
 

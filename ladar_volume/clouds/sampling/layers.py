@@ -1,5 +1,5 @@
 """Two layers of points, one above the other: strips that do not fit together, a roof or leaves
-above what is measured. Their mean is a surface that nothing has.
+above what is measured. The surface through all points lies between them and is neither.
 """
 
 from __future__ import annotations

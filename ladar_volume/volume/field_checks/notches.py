@@ -1,5 +1,5 @@
-"""Notches: where a survey reaches in from its edge, narrow and deep, and nothing was measured. What
-everything above a level adds up to has no part in them, without a hole that could be bridged.
+"""Notches: narrow and deep bays of a survey's edge, in which nothing was measured. Where everything
+counts, a hole is bridged, but a notch is taken for the outside.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
+from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
@@ -28,9 +28,9 @@ def notch_doubts(tin: Tin, base: Plane, size_m3: float, sigma_m3: float) -> list
     is drawn straight from rim to rim.
     """
     outside = ~tin.relevant
-    part = parts_kernel(tin.neighbours, outside)
     if not outside.any():
         return []
+    part = parts_kernel(tin.neighbours, outside)
     area = footprint_areas(tin.vertices, tin.triangles)
     held = area * height_above(tin.vertices, base)[tin.triangles].mean(axis=1)
     areas, volumes = (np.bincount(part[outside], x[outside]) for x in (area, held))
@@ -48,26 +48,16 @@ def notch_doubts(tin: Tin, base: Plane, size_m3: float, sigma_m3: float) -> list
 
 
 def depth_of(tin: Tin, bay: Bool) -> float:
-    """How far, m, triangles (m,) reach in from the hull: the greatest distance of their rim to
-    their sides on it.
+    """How far, m, a bay reaches in from the hull: the greatest distance of its rim from its sides
+    on the hull. bay : (m,) all triangles that do not count and are joined to one another.
     """
-    ends, _, open_ = border(tin, bay)
-    hull = np.zeros(len(ends), np.bool_)
-    hull[open_] = on_hull(tin, ends[open_])
+    ends, _, hull = border(tin, bay)
     if not hull.any() or hull.all():
         return 0.0
     rim = tin.vertices[np.unique(ends[~hull]), :2]
     rim = rim[:: math.ceil(len(rim) / POINTS)]
     a, b = (tin.vertices[ends[hull, j], :2] for j in (0, 1))
     return float(segment_distances(rim, a, b).min(axis=1).max())
-
-
-def on_hull(tin: Tin, ends: I32) -> Bool:
-    """Which sides with these ends (b, 2) border nothing at all."""
-    t, k = np.nonzero(tin.neighbours < 0)
-    sides = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
-    n = np.int64(len(tin.vertices))
-    return np.isin(ends[:, 0] * n + ends[:, 1], sides[:, 0] * n + sides[:, 1])
 
 
 def segment_distances(p: F64, a: F64, b: F64) -> F64:

@@ -18,8 +18,8 @@ COVER = 4.0
 
 class KnownCover(NamedTuple):
     """What the user says of plants. own_ground : whether the base is the ground of the survey ·
-    ground, body : whether it is said of them · shift_m : by how
-    much the body rises higher above the soil than above what returns see · sigma_m : of that
+    ground, body : whether it is said of them · shift_m : height of the plants on the ground minus
+    that of those on the body · sigma_m : its standard deviation
     """
 
     own_ground: bool
@@ -29,8 +29,8 @@ class KnownCover(NamedTuple):
     sigma_m: float
 
     def correction(self, tin: Tin, base: Plane, part: F64, least_m: float) -> tuple[float, float]:
-        """What the plants take from the volume, m³, and its standard deviation. part : (m,) m² of
-        each triangle that counts · least_m : height above the base that belongs to the body.
+        """What to add to the volume for the plants, m³, and its standard deviation. part : (m,) m²
+        of each triangle that counts · least_m : height above the base that belongs to the body.
         """
         if self.shift_m == 0.0 and self.sigma_m == 0.0:
             return 0.0, 0.0
