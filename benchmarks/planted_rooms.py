@@ -379,9 +379,9 @@ LINES = (
     # clouds
     Line(
         "fill over gaps added to the cut's side",
-        "clouds/volume_verdict.py",
-        "fill_m3=volume.fill_m3 + less",
-        "fill_m3=volume.fill_m3 - less",
+        "volume/cutfill.py",
+        "return cut_m3, fill_m3 - more_m3",
+        "return cut_m3, fill_m3 + more_m3",
         CLOUD_VOLUME,
     ),
     Line(

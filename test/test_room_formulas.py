@@ -3,7 +3,6 @@
 """
 
 import math
-from dataclasses import make_dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,7 +28,7 @@ from ladar_volume.model.records import OdometrySample, Returns
 from ladar_volume.registration.transform import Transform
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.uncertainty.pass_differences import Sizes, bin_covariances
-from ladar_volume.volume.cutfill import cut_sequence
+from ladar_volume.volume.cutfill import cut_sequence, with_net
 from ladar_volume.volume.floors import spikes, surface_offset
 
 S = 1_000_000_000
@@ -214,25 +213,9 @@ def test_cut_of_level_ground_has_half_the_square_of_a_common_lift_and_a_quarter_
     ("cut", "fill", "more", "expected"),
     [(6.0, 1.0, 0.7, (6.7, 1.0)), (1.0, 5.0, -0.7, (1.0, 5.7)), (1.0, 5.0, 0.4, (1.0, 4.6))],
 )
-def test_what_gaps_hold_is_cut_of_a_heap_and_fill_of_a_pit(monkeypatch, cut, fill, more, expected):
+def test_what_gaps_hold_is_cut_of_a_heap_and_fill_of_a_pit(cut, fill, more, expected):
     """more : what the net volume grows by, m³."""
-    names = ("cut_m3", "fill_m3", "sigma_m3", "area_m2", "net_m3")
-    volume = make_dataclass("Found", names)(cut, fill, 0.1, 20.0, cut - fill)
-    gaps = SimpleNamespace(areas=[2.0], triangle=np.array([0, -1]), area_m2=2.0)
-    bridged = SimpleNamespace(
-        gaps=[SimpleNamespace(sigma_m3=0.1)], more_m3=more, variance_m6=0.01, area_m2=2.0
-    )
-    tin = SimpleNamespace(triangles=np.zeros((2, 3), np.int32))
-    surface = SimpleNamespace(
-        representation=SimpleNamespace(tin=tin), sigma_m=np.ones(3), vertex_variance=np.ones(3)
-    )
-    monkeypatch.setattr(volume_verdict, "find_gaps", lambda *given: gaps)
-    monkeypatch.setattr(volume_verdict, "bridged_volume", lambda *given: bridged)
-    monkeypatch.setattr(volume_verdict, "gap_doubts", lambda *given: [])
-    monkeypatch.setattr(volume_verdict, "with_lines", lambda volume, lines: volume)
-    found, mask, _ = volume_verdict.with_gaps(volume, surface, None, SimpleNamespace(), True)
-    assert (found.cut_m3, found.fill_m3) == pytest.approx(expected)
-    assert mask.tolist() == [True, False]
+    assert with_net(cut, fill, more) == pytest.approx(expected)
 
 
 def test_an_attitude_that_wanders_looks_like_a_place_by_the_ratio_of_what_both_do():

@@ -37,6 +37,7 @@ from ladar_volume.model.records import F64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
+from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
@@ -156,13 +157,8 @@ def with_pair_gaps(
         found = bridged_volume(tin, level, inside, surface.vertex_variance, gaps)
         size = volume.cut_m3 + volume.fill_m3
         doubts += gap_doubts(found, gaps.area_m2, volume.area_m2, size, volume.sigma_m3)
-        more = sign * found.more_m3
-        up = volume.cut_m3 >= volume.fill_m3
-        volume = dataclasses.replace(
-            volume,
-            cut_m3=volume.cut_m3 + (more if up else 0.0),
-            fill_m3=volume.fill_m3 - (0.0 if up else more),
-        )
+        cut, fill = with_net(volume.cut_m3, volume.fill_m3, sign * found.more_m3)
+        volume = dataclasses.replace(volume, cut_m3=cut, fill_m3=fill)
         unseen = volume.budget_m6.get("unseen", 0.0) + found.variance_m6
         volume = with_lines(volume, {"unseen": unseen})
     return volume, doubts

@@ -33,6 +33,7 @@ from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
@@ -258,9 +259,8 @@ def with_gaps(
     if not moves:
         more = found.variance_m6 + found.more_m3**2
         return with_lines(volume, {"unseen": more}), gap_mask, doubts
-    up = volume.cut_m3 >= volume.fill_m3
-    more, less = (found.more_m3, 0.0) if up else (0.0, -found.more_m3)
-    volume = dataclasses.replace(volume, cut_m3=volume.cut_m3 + more, fill_m3=volume.fill_m3 + less)
+    cut, fill = with_net(volume.cut_m3, volume.fill_m3, found.more_m3)
+    volume = dataclasses.replace(volume, cut_m3=cut, fill_m3=fill)
     return with_lines(volume, {"unseen": found.variance_m6}), gap_mask, doubts
 
 
@@ -424,13 +424,8 @@ def with_known_cover(
     """The volume with the plants that the user told of."""
     known = known_cover(v, volume.base_same_survey)
     told, sigma = known.correction(tin, base, inside, v.object_height_m)
-    up = volume.cut_m3 >= volume.fill_m3
-    volume = dataclasses.replace(
-        volume,
-        cut_m3=volume.cut_m3 + (told if up else 0.0),
-        fill_m3=volume.fill_m3 - (0.0 if up else told),
-        cover_m3=told,
-    )
+    cut, fill = with_net(volume.cut_m3, volume.fill_m3, told)
+    volume = dataclasses.replace(volume, cut_m3=cut, fill_m3=fill, cover_m3=told)
     if not sigma > 0.0 or math.isnan(volume.sigma_m3):
         return volume
     found = volume.budget_m6.get("vegetation", 0.0)

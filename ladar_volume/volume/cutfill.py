@@ -44,6 +44,13 @@ class Sequence:
         return self.cut_m3 - self.fill_m3
 
 
+def with_net(cut_m3: float, fill_m3: float, more_m3: float) -> tuple[float, float]:
+    """Cut and fill when the net grows: a heap has more to cut, a pit less to fill."""
+    if cut_m3 >= fill_m3:
+        return cut_m3 + more_m3, fill_m3
+    return cut_m3, fill_m3 - more_m3
+
+
 @kernel
 def add_piece(
     tree: F64, centre: F64, low: int, high: int, origin: float, c0: float, c1: float, c3: float

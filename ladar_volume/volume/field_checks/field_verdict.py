@@ -27,6 +27,7 @@ from ladar_volume.uncertainty.pass_agreement import (
 )
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
+from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.base_readings import (
     base_reading_doubts,
     base_readings,
@@ -114,13 +115,13 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     above, below = cut_and_fill_chords(tin, survey.points.normal[tin.source], base, over)
     view = patch_views(survey.patches)[survey.sources.geometry.row[tin.source]]
     found = bridged_volume(tin, base, part, survey.height_variance, gaps, view)
-    up = volume.cut_m3 >= volume.fill_m3
+    cut, fill = with_net(volume.cut_m3 + above, volume.fill_m3 - below, found.more_m3)
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.volume_m3, volume.sigma_m3)
     volume = dataclasses.replace(
         volume,
         volume_m3=volume.volume_m3 + above + below + found.more_m3,
-        cut_m3=volume.cut_m3 + above + (found.more_m3 if up else 0.0),
-        fill_m3=volume.fill_m3 - below - (0.0 if up else found.more_m3),
+        cut_m3=cut,
+        fill_m3=fill,
         chord_m3=volume.chord_m3 - above - below,
         seen_share=1.0 - gaps.area_m2 / max(float(part.sum()), 1e-300),
         gaps=found.gaps,
@@ -275,12 +276,12 @@ def with_cover(
     body = 0.0 if known.body else passes.body_cover_m
     told, sigma = known.correction(survey.tin, footing.base, part, v.object_height_m)
     found, doubts = cover_sigma(ground, body, volume.area_m2, volume.volume_m3)
-    up = volume.cut_m3 >= volume.fill_m3
+    cut, fill = with_net(volume.cut_m3, volume.fill_m3, told)
     volume = dataclasses.replace(
         volume,
         volume_m3=volume.volume_m3 + told,
-        cut_m3=volume.cut_m3 + (told if up else 0.0),
-        fill_m3=volume.fill_m3 - (0.0 if up else told),
+        cut_m3=cut,
+        fill_m3=fill,
         cover_m3=told,
         verdict=volume.verdict + Verdict(tuple(doubts)),
     )
