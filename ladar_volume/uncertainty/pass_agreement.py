@@ -38,8 +38,9 @@ from ladar_volume.uncertainty.variance_components import (
 ASKED, FEWEST, RETURNS, UPWARD = 250, 30, 20, 0.7
 #: Roughness of a surface within a patch that is no trouble, m.
 GRAIN_M = 0.01
-#: What the ground scatters more than a body where it is overgrown, m, at least.
-GRASS_M = 0.009
+#: What the ground scatters more than a body where it is overgrown, m, at least; and what a body
+#: does where no ground is to compare with.
+GRASS_M, ROUGH_M = 0.009, 0.015
 #: Probability below which a budget is refuted, and by how much its variances then are too small at
 #: least, and are scaled at most.
 REFUTED, LEAST, MOST = 1e-2, 2.25, 1000.0
@@ -173,6 +174,19 @@ class Scatter(NamedTuple):
         source = {name: self.source[name] for name in ("noise", "beams")}
         return None if square is None else Scatter(self.rows, square, source)
 
+    def roughness(self, patches: PatchTable) -> F64:
+        """Mean squares (k,) m² of each return's own: what returns scatter within their bins beside
+        the beams' part, by their degrees of freedom, and no less than noise and grain.
+        """
+        least: F64 = self.source["noise"] + GRAIN_M**2
+        within = self.within_bins(patches)
+        if within is None:
+            return least
+        used = patches.used[self.rows].astype(np.float64)
+        bins = np.diff(patches.nav_start)[self.rows]
+        free = used / np.maximum(used - bins, 0.5 * used)
+        return np.maximum(within.square * free - self.source["beams"], least)
+
     @property
     def unexplained_m2(self) -> F64:
         """What the budget does not explain, (k,) m²; below zero where it says too much."""
@@ -205,13 +219,14 @@ def pass_agreement(
     shared = sum(part.values())
     if not shared > 0.0:
         return None
-    left = square - noise - GRAIN_M**2
+    rough = found.roughness(patches)
+    left = float(np.median(found.square - rough))
     factor = max(0.0, left) / shared
     span_s = float(np.ptp(patches.nav_bin)) * nav.bin_ns * 1e-9
     # Satterthwaite: a sum of chi-squares as one
     n = shared**2 / sum(v**2 / degrees_of_freedom(name, span_s, b) for name, v in part.items())
     p = float(chdtrc(n, factor * n))
-    predicted = math.sqrt(noise + shared)
+    predicted = math.sqrt(float(np.median(rough)) + shared)
     components: dict[str, Component] = {}
     for told in pass_differences(patches, nav, b, max_fix_gap_s):
         components |= variance_components(told)
@@ -335,3 +350,14 @@ def cover_scatter(found: Scatter, covered: Bool, bare: Bool) -> float:
     rest = max(0.0, float(np.median(left[off])))  # where that is much, something else is wrong
     more = float(np.median(left[on])) - rest
     return math.sqrt(more) if more > max(GRASS_M**2, rest) else 0.0
+
+
+def own_scatter(found: Scatter, body: Bool) -> float:
+    """What patches of the body scatter beyond the budget, m, with no ground to compare with: 0
+    where plants or rough material need not be the cause. body : (m,) of all patches.
+    """
+    left = found.unexplained_m2[body[found.rows]]
+    if len(left) < FEWEST // 2:
+        return 0.0
+    more = float(np.median(left))
+    return math.sqrt(more) if more > ROUGH_M**2 else 0.0

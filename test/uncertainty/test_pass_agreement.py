@@ -16,6 +16,7 @@ from ladar_volume.uncertainty.pass_agreement import (
     beside_steep_faces,
     cover_scatter,
     dispersion,
+    own_scatter,
     pass_agreement,
     patch_scatter,
     scatter_by_source,
@@ -113,6 +114,16 @@ def test_ground_that_scatters_more_than_the_body_is_overgrown():
         assert (found == 0.0) if least == 0.0 else least < found < scatter
 
 
+def test_a_body_that_scatters_more_than_its_budget_is_rough_or_overgrown():
+    patches = twice_seen()
+    body = patches.centre[:, 0] < 0.0
+    for scatter, other in ((0.012, 0.012), (0.018, 0.05), (0.03, 0.012)):
+        made = dataclasses.replace(patches, sigma=np.where(body, scatter, other))
+        found = own_scatter(patch_scatter(made, navigation(made), BUDGET), body)
+        assert found == (pytest.approx(scatter, rel=0.15) if scatter > 0.02 else 0.0)
+        assert own_scatter(patch_scatter(made, navigation(made), BUDGET), body & ~body) == 0.0
+
+
 LINES = {"noise": 0.01, "position": 0.04, "boresight": 0.09, "base_surface": 0.25}
 VOLUME = Volume(
     volume_m3=100.0,
@@ -146,7 +157,7 @@ def test_a_refuted_budget_is_scaled_warned_of_or_refused():
     assert doubt.name == "budget" and "80 mm" in doubt.text and doubt.value == 9.0
     warned = with_passes(VOLUME, REFUTED, "warn")
     assert warned.sigma_m3 == VOLUME.sigma_m3 and not warned.verdict.sound
-    with pytest.raises(VolumeError, match="disagree"):
+    with pytest.raises(VolumeError, match="lie apart"):
         with_passes(VOLUME, REFUTED, "refuse")
     true = dataclasses.replace(REFUTED, refuted=False)
     assert with_passes(VOLUME, true, "scale").verdict.sound

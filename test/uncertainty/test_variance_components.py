@@ -255,11 +255,25 @@ def test_a_group_without_effect_tells_nothing_of_itself_nor_of_others():
 
 
 def test_residuals_that_no_group_explains_are_still_a_doubt():
+    nav, rng = flight()[0], np.random.default_rng(1)
+    apart = shifted(patches(1)[0], rng.normal(0.0, 0.05, (200, BINS)), np.zeros((200, BEAMS)))
+    found = pass_agreement(patch_scatter(apart, nav, BUDGET), apart, nav, BUDGET, 0.1)
+    assert found.refuted and all(s.scale == 1.0 for s in found.sources)
+
+
+@pytest.mark.parametrize("scatter_m", [0.03, 0.05, 0.15])
+def test_a_surface_that_scatters_within_each_pass_is_rough_and_no_doubt_of_the_budget(scatter_m):
     made, nav = drawn_rise("", 1.0, 1), flight()[0]
-    rough = dataclasses.replace(made, sigma=np.sqrt(made.sigma**2 + 0.05**2))
+    rng = np.random.default_rng(2)
+    # the mean of ten returns in a bin is off by what they scatter
+    off = rng.normal(0.0, scatter_m / math.sqrt(10.0), (200, BINS))
+    rough = shifted(made, off, np.zeros((200, BEAMS)))
+    rough = dataclasses.replace(rough, sigma=np.sqrt(rough.sigma**2 + 0.9 * scatter_m**2))
     found = pass_agreement(patch_scatter(rough, nav, BUDGET), rough, nav, BUDGET, 0.1)
-    groups = [s for s in found.sources if s.name != "noise"]
-    assert found.refuted and all(s.scale == 1.0 for s in groups)
+    assert not found.refuted
+    (noise,) = (s for s in found.sources if s.name == "noise")
+    assert noise.factor == pytest.approx(1.0 + (scatter_m / 0.01) ** 2, rel=0.3)
+    assert noise.scale == noise.factor
 
 
 def test_sigma_of_a_factor_is_its_spread():

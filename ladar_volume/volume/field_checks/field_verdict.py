@@ -22,6 +22,7 @@ from ladar_volume.uncertainty.pass_agreement import (
     MOST,
     REFUTED,
     cover_scatter,
+    own_scatter,
     pass_agreement,
     patch_scatter,
 )
@@ -252,10 +253,10 @@ def refuted_words(found: Agreement) -> str:
             "for a jump of the fixes or a wrong clock, or give a true budget"
         )
     return (
-        f"returns of different passes and beams disagree: the median patch scatters by "
-        f"{1e3 * found.residual_m:.3g} mm about its surface where the budget says "
+        f"passes lie apart: the median patch scatters by {1e3 * found.residual_m:.3g} mm about its "
+        f"surface where the budget, and what each pass scatters of its own, say "
         f"{1e3 * found.predicted_m:.3g} mm (p = {found.p_value:.1g}), so that position, attitude, "
-        "calibration or clock are worse than given, or the surface is rough or overgrown; "
+        "calibration or clock are worse than given, or the surface changed on the way; "
         f"run `calibrate strips`, or give a true budget{group_words(found)}"
     )
 
@@ -340,15 +341,18 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     if scatter is None:
         return PassAgreement(None)
     cover = body_cover = 0.0
+    ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
+    within = scatter.within_bins(survey.patches)
     if len(footing.base.support):
-        ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
-        own = scatter.within_bins(survey.patches)
-        cover = cover_scatter(own or scatter, ground, body)
-        body_cover = cover_scatter(own or scatter, body, ground)
+        cover = cover_scatter(within or scatter, ground, body)
+        body_cover = cover_scatter(within or scatter, body, ground)
         if cover > 0.0:
             scatter = scatter.of(body[scatter.rows])
     gap_s = parameters.georeference.max_position_gap_s
     agreement = pass_agreement(scatter, survey.patches, nav, b, gap_s)
+    # a wrong budget scatters within passes too
+    if not len(footing.base.support) and within and not (agreement and agreement.refuted):
+        body_cover = own_scatter(within, body)
     return PassAgreement(agreement, cover, body_cover)
 
 

@@ -86,7 +86,7 @@ def cover_sigma(
     else:
         sigma = min(sigma, abs(volume_m3))  # plants are part of what was measured
         words = (
-            f"the body scatters {1e3 * more:.2g} mm more than the ground, as plants and rough "
+            f"the body scatters {1e3 * more:.2g} mm more than bare ground, as plants and rough "
             f"material do: plants would make it {sigma:.3g} m³ too large, which is in sigma; look "
             "at it, and mow, or say with volume.body_cover_m how high they are (0, 0: rough, but "
             "bare)"
