@@ -1,11 +1,12 @@
 """Whether the ground of the same survey is the base of a body: other readings of it, each with what
 it makes of the volume and how far it may differ by chance.
 
-Two readings stand against the fitted polynomial: a polynomial one degree higher through the same
-ground, and one through the toe line, the surface seen along the boundary of the outline. Both
-differences are weighted sums ``Σ w e`` of residuals of the ground, and their variance is that of
-the residuals' random field (:mod:`ladar_volume.uncertainty.ground_field`). A pile on a pad or in a
-hollow, or ground that bends, shows in one or both.
+Three readings stand against the fitted polynomial: a polynomial one degree higher through the same
+ground, one through the toe line, the surface seen along the boundary of the outline, and a terrace
+within the outline, where there is one. All differences are weighted sums ``Σ w e`` of residuals of
+the ground, and their variance is that of the residuals' random field
+(:mod:`ladar_volume.uncertainty.ground_field`). A pile on a pad or in a hollow, or ground that
+bends, shows in one or more.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from ladar_volume.tin.boundary import boundary_sides, side_ends
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
 from ladar_volume.uncertainty.roughness import estimate_roughness
+from ladar_volume.volume.field_checks.terrace import terrace_points
 
 #: A reading differs beyond chance above so many standard deviations of the difference, and matters
 #: above so many of the volume.
@@ -168,6 +170,15 @@ def base_readings(
         chance = field_sigma(tin, r[:, :2], w, rough, height_variance[toe])
         more = -float(w @ (height_above(r, base)))
         found.append(Reading("the surface along the toe", more, chance))
+    spread = 1.4826 * float(np.median(np.abs(left)))
+    terrace = terrace_points(tin, base, inside_m2, spread)
+    if len(terrace) >= FEWEST:
+        terrace = terrace[:: math.ceil(len(terrace) / MOST)]
+        w = np.full(len(terrace), float(inside_m2.sum()) / len(terrace))
+        r = tin.vertices[terrace]
+        chance = field_sigma(tin, r[:, :2], w, rough, height_variance[terrace])
+        more = -float(w @ height_above(r, base))
+        found.append(Reading("the terrace along the toe", more, chance))
     area = (rough.spacing_m**2) * n
     return BaseReadings(tuple(found), max(area / (2.0 * math.pi * rough.length_m**2), 1.0))
 

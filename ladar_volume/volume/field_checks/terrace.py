@@ -1,0 +1,55 @@
+"""Whether a body stands on a terrace of its own, such as a slab or a filled pad, which the outline
+takes in: much of its area lies at one height a little above the base, far more than just below
+that height and just above it, and most of the body lies above it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.records import F64, I64, Plane, Tin
+from ladar_volume.tin.boundary import border
+
+#: Heights of a terrace above the base, m; half the range of heights that is one, in standard
+#: deviations of the ground about the base, and the least of these, m.
+HEIGHTS, HALF, LEAST_M = (0.05, 0.6), 2.0, 0.0125
+#: So many times the area of the ranges next to it; its least mean width, m; and the share of the
+#: volume above it.
+TIMES, WIDE_M, ABOVE = 2.0, 0.2, 0.3
+
+
+def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I64:
+    """Vertices (k,) on a terrace within the outline, inside_m2 (m,) m² of each triangle; none where
+    there is none. spread_m : standard deviation of the ground about the base.
+    """
+    rows = np.flatnonzero(inside_m2 > 0.0)
+    height, area = height_above(tin.vertices, base)[tin.triangles[rows]], inside_m2[rows]
+    mean = height.mean(axis=1)
+    half = HALF * max(spread_m, LEAST_M)
+    at = terrace_height(mean, area, half)
+    wide = WIDE_M * float(border(tin, inside_m2 > 0.0)[1].sum())
+    on = np.abs(mean - at) <= half
+    more, total = (float(area @ np.maximum(mean - low, 0.0)) for low in (at, 0.0))
+    if at == 0.0 or float(area[on].sum()) < wide or more < ABOVE * total:
+        return np.zeros(0, np.int64)
+    out = np.unique(tin.triangles[rows[on]]).astype(np.int64)
+    return out[np.abs(height_above(tin.vertices[out], base) - at) <= half]
+
+
+def terrace_height(height: F64, area: F64, half: float) -> float:
+    """The height about which, within half, m, the most area (k,) m² of heights (k,) m lies, of
+    those with far less next to it; 0 where there is none.
+    """
+    order = np.argsort(height)
+    sums, ranked = np.concatenate([[0.0], np.cumsum(area[order])]), height[order]
+
+    def between(low: F64, high: F64) -> F64:
+        out: F64 = sums[np.searchsorted(ranked, high)] - sums[np.searchsorted(ranked, low)]
+        return out
+
+    at = np.arange(max(HEIGHTS[0], 2.5 * half), HEIGHTS[1], 0.5 * half)
+    own = between(at - half, at + half)
+    beside = np.maximum(between(at - 3.0 * half, at - half), between(at + half, at + 3.0 * half))
+    own[own <= TIMES * beside] = 0.0
+    return float(at[np.argmax(own)]) if own.any() else 0.0

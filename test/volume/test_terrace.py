@@ -1,0 +1,48 @@
+"""A body on a slab that the outline takes in: two readings of the base differ."""
+
+import math
+
+import numpy as np
+import pytest
+
+import ladar_volume as lv
+from ladar_volume.volume.field_checks.terrace import terrace_height
+
+CONE = math.pi * 6.0**3 * 0.65 / 3.0
+
+
+def cloud(ledge_m, high_m, noise=0.01, squared=False, seed=1):
+    """A cone of 6 m on a slab that reaches so far beyond its toe, on sloping ground."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-12.0, 12.0, (30_000, 2))
+    r = np.hypot(*xy.T)
+    z = 3.0 * np.clip(1.0 - r / 6.0, 0.0, 1.0) ** 2 if squared else np.maximum(6.0 - r, 0.0) * 0.65
+    z += np.where(r < 6.0 + ledge_m, high_m, 0.0) + 0.02 * xy[:, 0]
+    return np.c_[xy, z + rng.normal(0.0, noise, len(xy))]
+
+
+def names(answer):
+    return {reason["name"] for reason in answer.facts["verdict"]["reasons"]}
+
+
+@pytest.mark.parametrize(("ledge_m", "high_m"), [(0.6, 0.25), (1.2, 0.1), (1.5, 0.4)])
+def test_a_slab_is_a_reading_of_the_base_and_in_sigma(ledge_m, high_m):
+    found = lv.volume(cloud(ledge_m, high_m), base="ground", units="m")
+    assert "base_toe" in names(found)
+    assert abs(found.net_m3 - CONE) < 2.0 * found.sigma_m3
+    assert found.sigma_m3 < 2.0 * (found.net_m3 - CONE)
+
+
+@pytest.mark.parametrize("more", [{}, {"noise": 0.05}, {"squared": True}])
+def test_a_cone_and_a_toe_that_runs_out_are_no_terrace(more):
+    assert "base_toe" not in names(lv.volume(cloud(0.0, 0.0, **more), base="ground", units="m"))
+
+
+def test_the_height_is_where_far_more_area_lies_than_next_to_it():
+    flank = np.linspace(0.0, 4.0, 4001)
+    area = np.full(len(flank), 0.05)
+    assert terrace_height(flank, area, 0.02) == 0.0
+    ledge = np.full(200, 0.30)
+    height, areas = np.concatenate([flank, ledge]), np.concatenate([area, np.full(200, 0.05)])
+    assert terrace_height(height, areas, 0.02) == pytest.approx(0.30, abs=0.02)
+    assert terrace_height(height + 0.4, areas, 0.02) == 0.0  # a berm, which is the pile's own
