@@ -162,23 +162,20 @@ def base_readings(
         w = fit_weights(xy, moments, origin, scale, higher)
         chance = field_sigma(tin, xy, w, rough, noise)
         found.append(Reading(f"a ground of degree {higher}", -float(w @ e), chance))
+    own = moments[: COEFFICIENTS[min(degree, 1)]]
     toe = toe_points(tin, inside_m2 > 0.0, radius_m)
-    if len(toe) >= FEWEST:
-        r = tin.vertices[toe]
-        own = moments[: COEFFICIENTS[min(degree, 1)]]
-        w = fit_weights(r[:, :2], own, origin, scale, min(degree, 1))
-        chance = field_sigma(tin, r[:, :2], w, rough, height_variance[toe])
-        more = -float(w @ (height_above(r, base)))
-        found.append(Reading("the surface along the toe", more, chance))
     spread = 1.4826 * float(np.median(np.abs(left)))
     terrace = terrace_points(tin, base, inside_m2, spread)
-    if len(terrace) >= FEWEST:
-        terrace = terrace[:: math.ceil(len(terrace) / MOST)]
-        w = np.full(len(terrace), float(inside_m2.sum()) / len(terrace))
-        r = tin.vertices[terrace]
-        chance = field_sigma(tin, r[:, :2], w, rough, height_variance[terrace])
-        more = -float(w @ height_above(r, base))
-        found.append(Reading("the terrace along the toe", more, chance))
+    terrace = terrace[:: math.ceil(len(terrace) / MOST) or 1]
+    for name, rows, moved in (
+        ("the surface along the toe", toe, own),
+        ("the terrace along the toe", terrace, own[:1]),
+    ):
+        if len(rows) >= FEWEST:
+            r = tin.vertices[rows]
+            w = fit_weights(r[:, :2], moved, origin, scale, min(degree, 1, len(moved) - 1))
+            chance = field_sigma(tin, r[:, :2], w, rough, height_variance[rows])
+            found.append(Reading(name, -float(w @ height_above(r, base)), chance))
     area = (rough.spacing_m**2) * n
     return BaseReadings(tuple(found), max(area / (2.0 * math.pi * rough.length_m**2), 1.0))
 
