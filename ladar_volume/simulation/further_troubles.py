@@ -133,6 +133,28 @@ def machine_leaves(d: SceneDraft) -> None:
     )
 
 
+def heaped(d: SceneDraft) -> None:
+    """The pile grows by 5 to 30 % half-way through the flight; true is its volume at the end."""
+    d.names = ("changed",)
+    steep = d.pile.steep * d.rng.uniform(1.05, 1.3)
+    d.later_pile = Pile(d.pile.a, d.pile.b, d.pile.top, steep)
+    d.volume_m3 = d.later_pile.volume_m3
+    d.flight_trouble = dataclasses.replace(
+        d.flight_trouble, later_s=d.rng.uniform(0.35, 0.65) * DURATION_S
+    )
+
+
+def slab(d: SceneDraft) -> None:
+    """The pile stands on a slab of 10 to 40 cm that reaches 1 to 3 m beyond its toe."""
+    d.names = ("base_toe",)
+    high, wide = d.rng.uniform(0.1, 0.4), d.rng.uniform(1.0, 3.0)
+    own, ground = d.pile, d.ground
+    d.ground = lambda u, v: (
+        ground(u, v)
+        + high * np.clip((1.0 + wide / own.b - np.hypot(u / own.a, v / own.b)) * own.b / 0.05, 0, 1)
+    )
+
+
 def fence(d: SceneDraft) -> None:
     """A fence of 1.2 to 2 m runs 0.5 to 3 m beside the toe."""
     d.names = ("object", "wall", "further_bodies")
@@ -322,6 +344,8 @@ FURTHER: tuple[Callable[[SceneDraft], Any], ...] = (
     dust,
     dozer,
     machine_leaves,
+    heaped,
+    slab,
     fence,
     conveyor,
     shed,

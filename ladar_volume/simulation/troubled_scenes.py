@@ -145,6 +145,7 @@ class SceneDraft:
         self.flight_trouble = FlightTrouble()
         self.flight: Platform | None = None
         self.leaving: list[Any] = []
+        self.later_pile: Pile | None = None
 
     def on_foot(self, share: float) -> tuple[float, float, float]:
         """A direction, and the place in it at a share of the foot's radius."""
@@ -161,6 +162,9 @@ class SceneDraft:
         scene = self._scene(join(mesh, *self.bodies, *self.leaving), extent)
         if self.leaving:
             later = self._scene(join(mesh, *self.bodies), extent)
+            self.flight_trouble = dataclasses.replace(self.flight_trouble, later=later)
+        if self.later_pile is not None:
+            later = self._scene(join(pile_mesh(self.later_pile, self.ground)), extent)
             self.flight_trouble = dataclasses.replace(self.flight_trouble, later=later)
         flight = self.flight or lanes(0.5 * extent, 25.0, DURATION_S)
         settings: Settings = {

@@ -55,6 +55,11 @@ from ladar_volume.volume.field_checks.steep_faces import (
     steep_faces,
     wall_m6,
 )
+from ladar_volume.volume.field_checks.surface_changes import (
+    SurfaceChange,
+    change_doubt,
+    surface_change,
+)
 from ladar_volume.volume.measured_body import (
     Footing,
     MeasuredBody,
@@ -66,6 +71,8 @@ from ladar_volume.volume.measured_body import (
 OWN = ("noise", "noise_tangential", "smoothing", "base_surface")
 #: Share of the points that a median screen may change: more are no outliers.
 MOST_SCREENED = 0.05
+#: A change of the surface matters from so many standard deviations of the volume on.
+CHANGED = 0.5
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
 ROUNDS = 3
 
@@ -309,12 +316,13 @@ def scaled_lines(volume: Volume, scales: Mapping[str, float]) -> Volume:
 class PassAgreement(NamedTuple):
     """What the passes of a survey say of its budget. agreement : of their median with the budget,
     None where it tells nothing · cover_m, body_cover_m : by how much the ground scatters more than
-    the body, and the body more than the ground
+    the body, and the body more than the ground · change : of the surface on the way
     """
 
     agreement: Agreement | None
     cover_m: float = 0.0
     body_cover_m: float = 0.0
+    change: SurfaceChange | None = None
 
 
 def ground_and_body(
@@ -353,7 +361,24 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     # a wrong budget scatters within passes too
     if not len(footing.base.support) and within and not (agreement and agreement.refuted):
         body_cover = own_scatter(within, body)
-    return PassAgreement(agreement, cover, body_cover)
+    change = surface_change(survey.patches, nav.bin_ns)
+    return PassAgreement(agreement, cover, body_cover, change)
+
+
+def with_change(
+    survey: SurveyedSurface, part: F64, volume: Volume, found: SurfaceChange | None
+) -> Volume:
+    """The volume of a body, part (m,) m² of each triangle, with what changed on it on the way."""
+    if found is None:
+        return volume
+    rows = survey.sources.geometry.row[survey.tin.source[vertex_mask(survey.tin, part > 0.0)]]
+    own = np.isin(found.row, rows)
+    more = float((found.area_m2 * found.by_m)[own].sum())
+    if more > CHANGED * volume.sigma_m3:
+        start_ns = int(survey.patches.nav_bin.min()) * survey.sources.navigation.bin_ns
+        doubt = change_doubt(found, own, survey.patches.centre[found.row], start_ns)
+        volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
+    return with_line(volume, "changed", more**2)
 
 
 def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) -> Volume:
@@ -417,6 +442,7 @@ def assess_field(
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(survey, footing, part, volume, passes, parameters.volume)
+    volume = with_change(survey, part, volume, passes.change)
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, body, volume, parameters)
     tin = survey.tin
