@@ -34,7 +34,7 @@ from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.cutfill import with_net
-from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
+from ladar_volume.volume.field_checks.base_readings import base_reading_doubts, below_base
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
@@ -50,8 +50,6 @@ STRAYS, UNSEEN, OPEN = 0.04, 0.1, 0.1
 SUPPORT = 0.5
 #: Readings of the ground, and its unevenness, differ by more than so many standard deviations.
 SIGMAS = 2.0
-#: Volume below the base of a body that rises above it, in standard deviations and in shares of it.
-CHANCE, BELOW = 3.0, 0.005
 #: Height of what grows over the ground, in its scatter: 1.4 for a gamma of order 2, 1.7 for even
 #: returns from soil to top.
 GROWTH = 2.0
@@ -197,11 +195,14 @@ def coarse_doubts(volume: CloudVolume, between: BetweenPoints) -> list[Doubt]:
     return [*out, Doubt("coarse", words, between.drift_m3 / size)]
 
 
-def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Doubt]:
-    """What speaks against the ground of the same cloud."""
+def base_doubts(readings: GroundReadings | None, volume: CloudVolume, by_body: bool) -> list[Doubt]:
+    """What speaks against the base, of bodies whose outline was found, and the ground of the same
+    cloud.
+    """
+    out = below_base(volume.cut_m3, volume.fill_m3, volume.sigma_fill_m3) if by_body else []
     if readings is None:
-        return []
-    out, r = [], readings
+        return out
+    r = readings
     if r.support < SUPPORT:
         words = (
             f"the base is supported by {100 * r.support:.0f} % of the {r.ring:,} points around "
@@ -223,19 +224,6 @@ def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Do
     if r.others is not None:
         out += base_reading_doubts(r.others, volume.net_m3, volume.sigma_m3, volume.base)
     return out
-
-
-def below_base(volume: CloudVolume) -> list[Doubt]:
-    """A body that rises above its ground has next to nothing below it."""
-    less = min(volume.cut_m3, volume.fill_m3)
-    if less <= max(CHANCE * volume.sigma_fill_m3, BELOW * volume.cut_m3):
-        return []
-    words = (
-        f"{less:.3g} m³ inside the outline of the body lie below its base: it may stand on a pad "
-        "or in a hollow, lower than the ground around; narrow --set volume.ground_ring_m, give "
-        "--level, or survey the empty site"
-    )
-    return [Doubt("below_base", words, less)]
 
 
 def with_gaps(
@@ -333,7 +321,7 @@ def volume_with_verdict(
     doubts = gaps or surface_doubts(surface, inside)
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
-    doubts += base_doubts(readings, found) + coarse_doubts(found, between)
+    doubts += base_doubts(readings, found, by_body) + coarse_doubts(found, between)
     if base is None:
         return with_readings(found, readings), Verdict(tuple(doubts))
     if math.isnan(found.sigma_m3):
@@ -344,7 +332,7 @@ def volume_with_verdict(
         faces = faces_around(surface, base, inside, v.object_height_m)
     if by_body:
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
-        doubts += below_base(found) + beside_doubts(surface, inside, (v.min_body_m3, found.net_m3))
+        doubts += beside_doubts(surface, inside, (v.min_body_m3, found.net_m3))
     elif v.outline == "all":
         doubts += notch_doubts(tin, base, found.cut_m3 + found.fill_m3, found.sigma_m3)
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)

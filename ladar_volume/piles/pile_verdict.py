@@ -9,7 +9,6 @@ from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, corrected_volum
 from ladar_volume.clouds.ground_readings import GroundReadings, ground_readings
 from ladar_volume.clouds.pair_verdict import pair_verdict
 from ladar_volume.clouds.volume_verdict import (
-    below_base,
     faces_around,
     surface_doubts,
     volume_with_verdict,
@@ -36,6 +35,7 @@ from ladar_volume.piles.pile_site import (
 )
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.uncertainty.ground_field import Roughness
+from ladar_volume.volume.field_checks.base_readings import below_base
 from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
 from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
@@ -112,7 +112,8 @@ def pile_with_verdict(
     doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
     faces = faces_around(surface, ground, inside, rise)
     doubts += wall_doubts(part.tin, ground, mask, faces, rise)
-    doubts += below_base(volume) if volume.net_m3 > 0.0 and task.base in GROUND_BASES else []
+    if task.base in GROUND_BASES:
+        doubts += below_base(volume.cut_m3, volume.fill_m3, volume.sigma_fill_m3)
     return volume, verdict + Verdict(tuple(doubts))
 
 

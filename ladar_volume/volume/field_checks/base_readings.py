@@ -49,6 +49,8 @@ TOE = (1.0, 2.0)
 FIELD = 200
 #: A given base is meant to be the ground where it lies no further from it, m.
 NEAR_M = 0.5
+#: Share of the volume that may lie below the base.
+BELOW = 0.005
 #: Degrees of freedom from which on Student's t is the normal distribution.
 MANY = 200.0
 
@@ -199,6 +201,20 @@ def base_reading_doubts(
         )
         out.append(Doubt(name, words, r.more_m3))
     return out
+
+
+def below_base(cut_m3: float, fill_m3: float, sigma_m3: float) -> list[Doubt]:
+    """A body that rises above its ground has next to nothing below it. sigma_m3 : of the fill, by
+    chance.
+    """
+    if not cut_m3 > fill_m3 > max(CHANCE * sigma_m3, BELOW * cut_m3):
+        return []
+    words = (
+        f"{fill_m3:.3g} m³ inside the outline of the body lie below its base and are taken off: it "
+        "may stand on a pad or in a hollow, lower than the ground around, or a trench or ruts run "
+        "along its toe; narrow volume.ground_ring_m, give a level, or survey the empty site"
+    )
+    return [Doubt("below_base", words, fill_m3)]
 
 
 def outline_points(tin: Tin, inside: Bool) -> I64:

@@ -32,6 +32,7 @@ from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.base_readings import (
     base_reading_doubts,
     base_readings,
+    below_base,
     given_base_doubts,
     student_factor,
 )
@@ -169,9 +170,9 @@ def with_base(
         return dataclasses.replace(volume, verdict=volume.verdict + doubts)
     if found is None:
         return volume
-    doubts = Verdict(
-        tuple(base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base))
-    )
+    told = base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base)
+    told += below_base(volume.cut_m3, volume.fill_m3, volume.sigma_m3)
+    doubts = Verdict(tuple(told))
     share = volume.budget_m6.get("base_surface", 0.0) / max(volume.sigma_m3**2, 1e-300)
     factor = student_factor(volume.coverage_factor, volume.confidence, share, found.freedom)
     volume = dataclasses.replace(volume, coverage_factor=factor, verdict=volume.verdict + doubts)
