@@ -240,7 +240,9 @@ def pass_agreement(
         own = float(np.median(within.square - within.source["beams"]))
         sources = (*sources, noise_agreement(own, noise, len(within.rows)))
     steep = beside_steep_faces(patches.centre, patches.normal)[found.rows]
-    shift, toward = sideways_shift(found.of(~steep), patches.normal)
+    # what returns scatter within their passes is no shift between these
+    apart = found.unexplained_m2 + found.source["noise"] - rough
+    shift, toward = sideways_shift(found.of(~steep), apart[~steep], patches.normal)
     return Agreement(
         math.sqrt(square), predicted, factor, n, p, refuted, sources, shift, math.degrees(toward)
     )
@@ -307,19 +309,20 @@ def beside_steep_faces(centre: F64, normal: F64) -> Bool:
     return beside
 
 
-def sideways_shift(found: Scatter, normal: F64) -> tuple[float, float]:
+def sideways_shift(found: Scatter, apart_m2: F64, normal: F64) -> tuple[float, float]:
     """By how much two halves of the passes lie apart sideways, m, and along which direction, rad
     from east; 0 where they do not.
 
     A jump d of the positions adds ``q (1 − q) (d·n)²`` to the mean square of a patch with normal n
     of which it moves a share q: the form of the tensor ``d dᵀ / 4`` in n where q is a half. It is
-    fitted, and its horizontal part has one axis. normal : (m, 3) of all patches.
+    fitted, and its horizontal part has one axis. apart_m2 : (k,) m², what the mean squares of the
+    patches have that budget and roughness do not explain · normal : (m, 3) of all patches.
     """
     if len(found.rows) < FEWEST:
         return 0.0, 0.0
     predicted = np.sum(list(found.source.values()), axis=0)
     weight = 1.0 / (predicted + GRAIN_M**2)
-    y = found.unexplained_m2 * weight
+    y = apart_m2 * weight
     some = y <= np.quantile(y, USUAL)
     n, w = normal[found.rows[some]], weight[some]
     x, v, z = n.T

@@ -211,7 +211,8 @@ def test_patches_beside_a_wall_are_not_asked_for_a_shift():
 
 @pytest.mark.parametrize("jump", [(0.12, 0.0, 0.0), (0.05, 0.09, 0.02), (-0.08, 0.08, 0.0)])
 def test_a_jump_sideways_is_found_with_its_size_and_direction(jump):
-    size, toward = sideways_shift(*sloping(np.array(jump)))
+    found, normal = sloping(np.array(jump))
+    size, toward = sideways_shift(found, found.unexplained_m2, normal)
     assert size == pytest.approx(math.hypot(*jump[:2]), rel=0.2)
     apart = (toward - math.atan2(jump[1], jump[0]) + math.pi / 2) % math.pi - math.pi / 2
     assert abs(apart) < math.radians(12)
@@ -219,7 +220,8 @@ def test_a_jump_sideways_is_found_with_its_size_and_direction(jump):
 
 @pytest.mark.parametrize(("jump", "own_m"), [((0, 0, 0), 0.0), ((0, 0, 0), 0.03), ((0, 0, 0.1), 0)])
 def test_rough_slopes_and_a_jump_upwards_are_no_jump_sideways(jump, own_m):
-    assert sideways_shift(*sloping(np.array(jump), own_m)) == (0.0, 0.0)
+    found, normal = sloping(np.array(jump), own_m)
+    assert sideways_shift(found, found.unexplained_m2, normal) == (0.0, 0.0)
 
 
 def test_a_group_alone_to_blame_takes_what_the_others_leave():

@@ -355,13 +355,14 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     if len(footing.base.support):
         cover = cover_scatter(within or scatter, ground, body)
         body_cover = cover_scatter(within or scatter, body, ground)
-        if cover > 0.0:
-            scatter = scatter.of(body[scatter.rows])
-    gap_s = parameters.georeference.max_position_gap_s
-    agreement = pass_agreement(scatter, survey.patches, nav, b, gap_s)
-    # a wrong budget scatters within passes too
-    if not len(footing.base.support) and within and not (agreement and agreement.refuted):
+    elif within:
         body_cover = own_scatter(within, body)
+    asked = scatter.of(body[scatter.rows]) if cover > 0.0 else scatter
+    gap_s = parameters.georeference.max_position_gap_s
+    agreement = pass_agreement(asked, survey.patches, nav, b, gap_s)
+    # errors of position and attitude scatter slopes, and level ground does not show them
+    if agreement is not None and (agreement.refuted or agreement.shift_m > 0.0):
+        body_cover = 0.0
     change = surface_change(survey.patches, nav.bin_ns)
     return PassAgreement(agreement, cover, body_cover, change)
 
