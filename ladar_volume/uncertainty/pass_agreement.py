@@ -226,7 +226,6 @@ def pass_agreement(
     # Satterthwaite: a sum of chi-squares as one
     n = shared**2 / sum(v**2 / degrees_of_freedom(name, span_s, b) for name, v in part.items())
     p = float(chdtrc(n, factor * n))
-    predicted = math.sqrt(float(np.median(rough)) + shared)
     components: dict[str, Component] = {}
     for told in pass_differences(patches, nav, b, max_fix_gap_s):
         components |= variance_components(told)
@@ -239,13 +238,12 @@ def pass_agreement(
     if within is not None:
         own = float(np.median(within.square - within.source["beams"]))
         sources = (*sources, noise_agreement(own, noise, len(within.rows)))
-    steep = beside_steep_faces(patches.centre, patches.normal)[found.rows]
+    smooth = ~beside_steep_faces(patches.centre, patches.normal)[found.rows]
     # what returns scatter within their passes is no shift between these
     apart = found.unexplained_m2 + found.source["noise"] - rough
-    shift, toward = sideways_shift(found.of(~steep), apart[~steep], patches.normal)
-    return Agreement(
-        math.sqrt(square), predicted, factor, n, p, refuted, sources, shift, math.degrees(toward)
-    )
+    shift = sideways_shift(found.of(smooth), apart[smooth], patches.normal)
+    predicted = math.sqrt(float(np.median(rough)) + shared)
+    return Agreement(math.sqrt(square), predicted, factor, n, p, refuted, sources, *shift)
 
 
 def source_agreement(
@@ -310,8 +308,8 @@ def beside_steep_faces(centre: F64, normal: F64) -> Bool:
 
 
 def sideways_shift(found: Scatter, apart_m2: F64, normal: F64) -> tuple[float, float]:
-    """By how much two halves of the passes lie apart sideways, m, and along which direction, rad
-    from east; 0 where they do not.
+    """By how much two halves of the passes lie apart sideways, m, and along which direction,
+    degrees from east; 0 where they do not.
 
     A jump d of the positions adds ``q (1 − q) (d·n)²`` to the mean square of a patch with normal n
     of which it moves a share q: the form of the tensor ``d dᵀ / 4`` in n where q is a half. It is
@@ -339,7 +337,7 @@ def sideways_shift(found: Scatter, apart_m2: F64, normal: F64) -> tuple[float, f
     major = 2.0 * math.sqrt(max(float(size[1]), 0.0))
     if major < SHIFT_M or float(size[0]) > ROUND * float(size[1]):
         return 0.0, 0.0
-    return major, math.atan2(float(axes[1, 1]), float(axes[0, 1])) % math.pi
+    return major, math.degrees(math.atan2(float(axes[1, 1]), float(axes[0, 1])) % math.pi)
 
 
 def cover_scatter(found: Scatter, covered: Bool, bare: Bool) -> float:

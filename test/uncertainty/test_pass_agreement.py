@@ -214,8 +214,8 @@ def test_a_jump_sideways_is_found_with_its_size_and_direction(jump):
     found, normal = sloping(np.array(jump))
     size, toward = sideways_shift(found, found.unexplained_m2, normal)
     assert size == pytest.approx(math.hypot(*jump[:2]), rel=0.2)
-    apart = (toward - math.atan2(jump[1], jump[0]) + math.pi / 2) % math.pi - math.pi / 2
-    assert abs(apart) < math.radians(12)
+    apart = (toward - math.degrees(math.atan2(jump[1], jump[0])) + 90.0) % 180.0 - 90.0
+    assert abs(apart) < 12.0
 
 
 @pytest.mark.parametrize(("jump", "own_m"), [((0, 0, 0), 0.0), ((0, 0, 0), 0.03), ((0, 0, 0.1), 0)])
