@@ -45,4 +45,4 @@ def test_the_height_is_where_far_more_area_lies_than_next_to_it():
     ledge = np.full(200, 0.30)
     height, areas = np.concatenate([flank, ledge]), np.concatenate([area, np.full(200, 0.05)])
     assert terrace_height(height, areas, 0.02) == pytest.approx(0.30, abs=0.02)
-    assert terrace_height(height + 0.4, areas, 0.02) == 0.0  # a berm, which is the pile's own
+    assert terrace_height(height + 0.9, areas, 0.02) == 0.0  # a berm, which is the pile's own

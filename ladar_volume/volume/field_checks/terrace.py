@@ -13,10 +13,10 @@ from ladar_volume.tin.boundary import border
 
 #: Heights of a terrace above the base, m; half the range of heights that is one, in standard
 #: deviations of the ground about the base, and the least of these, m.
-HEIGHTS, HALF, LEAST_M = (0.05, 0.6), 2.0, 0.0125
+HEIGHTS, HALF, LEAST_M = (0.05, 1.0), 2.0, 0.0125
 #: So many times the area of the ranges next to it; its least mean width, m; and the share of the
 #: volume above it.
-TIMES, WIDE_M, ABOVE = 2.0, 0.2, 0.3
+TIMES, WIDE_M, ABOVE = 2.0, 0.2, 0.15
 
 
 def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I64:
