@@ -118,15 +118,17 @@ def moved_at(patches: PatchTable, seen: Means, moment: float) -> Moved | None:
     """What patches show of a moment, a time bin; None where few were seen before and after it."""
     late = seen.bins >= moment
     k = len(seen.row)
-    every, after = (np.bincount(seen.owner[s], seen.returns[s], k) for s in (late | True, late))
     sums = seen.returns * seen.residual
-    total, above = (np.bincount(seen.owner[s], sums[s], k) for s in (late | True, late))
-    before = every - after
+    (before, below), (after, above) = (
+        [np.bincount(seen.owner[some], of[some], k) for of in (seen.returns, sums)]
+        for some in (~late, late)
+    )
+    every = before + after
     good = np.minimum(before, after) > np.maximum(RETURNS, SHARE * every)
     if np.count_nonzero(good) < FEWEST:
         return None
     n1, n0 = after[good], before[good]
-    off = above[good] / n1 - (total - above)[good] / n0
+    off = above[good] / n1 - below[good] / n0
     row = seen.row[good]
     variance = patches.sigma[row] ** 2 * (1.0 / n0 + 1.0 / n1)
     n, place = patches.normal[row], patches.centre[row] - patches.centre[row].mean(axis=0)
