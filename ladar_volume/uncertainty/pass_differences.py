@@ -38,6 +38,8 @@ STEADY = 0.94
 #: Share of the effect of a constant that may be anything in each bin, as the pose of a bin is a
 #: mean; least share of a patch's scatter that is noise; least share of the largest eigenvalue.
 INEXACT, NOISE, DIGITS = 0.05, 0.3, 1e-9
+#: Blocks of neighbouring patches, which may have noise in common.
+BLOCKS = 16
 #: Share of a beam's variance that the mean of those of one look has.
 FEW_BEAMS = 0.25
 #: Least speed that is counted, m/s.
@@ -98,8 +100,28 @@ def told_by(found: Residuals, covariance: dict[str, F64]) -> UnitErrors | None:
     if left < FEWEST or not len(y):
         return None
     variance = max(float(weight @ d**2 - y @ y), 0.0) / left
+    unit = A @ (vector[:, good] / root)
+    variance *= likeness(unit, weight, d - unit @ y, patches * BLOCKS // m, variance)
     turn = vector[:, good] * root
     return UnitErrors(y, max(variance, 0.1), {g: turn.T @ C @ turn for g, C in covariance.items()})
+
+
+def likeness(unit: F64, weight: F64, left: F64, block: I64, variance: float) -> float:
+    """By how much the noise of sums over patches is larger than that of independent ones, 1 at
+    least: ground that is rough over metres moves neighbours alike. Told from what blocks of
+    neighbours add to the sums ``unitᵀ W d`` beyond the fit (Liang & Zeger, Biometrika 73, 1986).
+    unit : (l, k), with ``unitᵀ W unit`` the unit matrix · left : (l,) m, residuals of the fit ·
+    block : (l,) of each · variance : of residuals with weight 1
+    """
+    found, alone = 0.0, 0.0
+    for b in range(BLOCKS):
+        own = block == b
+        if own.any():
+            scores = unit[own].T @ (weight[own] * left[own])
+            share = unit[own].T @ (unit[own] * weight[own][:, None])
+            found += float(scores @ scores)
+            alone += float(np.trace(share) - np.sum(share * share))
+    return max(1.0, found / max(variance * alone, 1e-300))
 
 
 def asked_patches(patches: PatchTable) -> I64:
