@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from ladar_volume.model.records import F64, I64, Bool, PatchTable
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.uncertainty.packing import navigation_units
+from ladar_volume.uncertainty.patch_table import ragged_index
 from ladar_volume.volume.field_checks.standing_objects import parts
 
 #: Moments that are asked: shares of the time bins. Patches that are asked at most, fewest that
@@ -57,20 +58,18 @@ class SurfaceChange(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """What patches ``row`` (k,) show of a moment: ``off`` (k,) m, how much higher what was seen
-    after it lies; whether that is far off, ``far`` (k,); and the share of the returns that is of
-    after it, (k,).
+    """What patches show of a moment: ``off`` (k,) m, how much higher what was seen after it lies;
+    whether that is far off, ``far`` (k,); and the share of the returns that is of after it, (k,).
     """
 
-    row: I64
     off: F64
     far: Bool
     share: F64
 
 
 class Means(NamedTuple):
-    """Returns and sums of residuals, m, of patches ``row`` (k,): by time bin, of entries owner (l,)
-    with bins (l,), returns (l,) and residuals (l,) m; and the distance of neighbours, m.
+    """What patches ``row`` (k,) hold of time bins: of each entry (l,) whose of these it is, the
+    bin, the returns, and their mean residual, m. apart_m : distance of neighbouring patches, m
     """
 
     row: I64
@@ -87,10 +86,8 @@ def patch_means(patches: PatchTable) -> Means | None:
     row = row[:: max(1, math.ceil(len(row) / ASKED))]
     if len(row) < FEWEST or not len(patches.nav_residual):
         return None
-    count = np.diff(patches.nav_start)[row]
-    first = np.concatenate([[0], np.cumsum(count)])
-    entry = np.repeat(patches.nav_start[row] - first[:-1], count) + np.arange(first[-1])
-    owner = np.repeat(np.arange(len(row)), count)
+    entry = ragged_index(patches.nav_start, row)
+    owner = np.repeat(np.arange(len(row)), np.diff(patches.nav_start)[row])
     residual = patches.nav_residual[entry].astype(np.float64)
     if not np.isfinite(residual).all():
         return None
@@ -138,7 +135,7 @@ def moved_at(patches: PatchTable, seen: Means, moment: float) -> Moved | None:
     some[good] = left
     far = np.zeros(k, np.bool_)
     far[good] = np.abs(left) > np.maximum(MOVED * np.sqrt(scale**2 + variance), LEAST_M)
-    return Moved(seen.row, some, far, after / np.maximum(every, 1e-9))
+    return Moved(some, far, after / np.maximum(every, 1e-9))
 
 
 def together(place: F64, mask: Bool, counts: Bool, apart_m: float) -> Bool:

@@ -1,6 +1,6 @@
 """Whether a body stands on a terrace of its own, such as a slab or a filled pad, which the outline
 takes in: much of its area lies at one height a little above the base, far more than just below
-that height and just above it, and most of the body lies above it.
+that height and just above it, and a part of the body lies above it.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I6
     mean = height.mean(axis=1)
     half = HALF * max(spread_m, LEAST_M)
     at = terrace_height(mean, area, half)
+    if at == 0.0:
+        return np.zeros(0, np.int64)
     wide = WIDE_M * float(border(tin, inside_m2 > 0.0)[1].sum())
     on = np.abs(mean - at) <= half
     more, total = (float(area @ np.maximum(mean - low, 0.0)) for low in (at, 0.0))
-    if at == 0.0 or float(area[on].sum()) < wide or more < ABOVE * total:
+    if float(area[on].sum()) < wide or more < ABOVE * total:
         return np.zeros(0, np.int64)
     out = np.unique(tin.triangles[rows[on]]).astype(np.int64)
     return out[np.abs(height_above(tin.vertices[out], base) - at) <= half]
@@ -41,15 +43,14 @@ def terrace_height(height: F64, area: F64, half: float) -> float:
     """The height about which, within half, m, the most area (k,) m² of heights (k,) m lies, of
     those with far less next to it; 0 where there is none.
     """
-    order = np.argsort(height)
-    sums, ranked = np.concatenate([[0.0], np.cumsum(area[order])]), height[order]
-
-    def between(low: F64, high: F64) -> F64:
-        out: F64 = sums[np.searchsorted(ranked, high)] - sums[np.searchsorted(ranked, low)]
-        return out
-
-    at = np.arange(max(HEIGHTS[0], 2.5 * half), HEIGHTS[1], 0.5 * half)
-    own = between(at - half, at + half)
-    beside = np.maximum(between(at - 3.0 * half, at - half), between(at + half, at + 3.0 * half))
-    own[own <= TIMES * beside] = 0.0
+    step = 0.5 * half
+    at = np.arange(max(HEIGHTS[0], 2.5 * half), HEIGHTS[1], step)
+    if not len(at):
+        return 0.0
+    bins = len(at) + 11  # six below the first, as many above the last
+    low = at[0] - 6.0 * step
+    by_bin = np.histogram(height, bins, (low, low + bins * step), weights=area)[0]
+    four = np.convolve(by_bin, np.ones(4), "valid")  # from each bin on: as high as 2 half
+    below, own, above = (four[k : k + len(at)] for k in (0, 4, 8))
+    own = np.where(own > TIMES * np.maximum(below, above), own, 0.0)
     return float(at[np.argmax(own)]) if own.any() else 0.0
