@@ -318,10 +318,10 @@ def volume_with_verdict(
     height = height_above(tin.vertices, base)
     between = between_points(surface, inside, height, ~gap_mask)
     found = with_edge(with_between_points(volume, between), surface, inside, height, by_body)
-    doubts = gaps or surface_doubts(surface, inside)
+    doubts = (gaps or surface_doubts(surface, inside)) + coarse_doubts(found, between)
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
-    doubts += base_doubts(readings, found, by_body) + coarse_doubts(found, between)
+    doubts += base_doubts(readings, found, by_body and base is not None)
     if base is None:
         return with_readings(found, readings), Verdict(tuple(doubts))
     if math.isnan(found.sigma_m3):

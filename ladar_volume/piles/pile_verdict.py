@@ -112,7 +112,7 @@ def pile_with_verdict(
     doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
     faces = faces_around(surface, ground, inside, rise)
     doubts += wall_doubts(part.tin, ground, mask, faces, rise)
-    if task.base in GROUND_BASES:
+    if volume.net_m3 > 0.0 and task.base in GROUND_BASES:
         doubts += below_base(volume.cut_m3, volume.fill_m3, volume.sigma_fill_m3)
     return volume, verdict + Verdict(tuple(doubts))
 

@@ -12,6 +12,7 @@ from ladar_volume.volume.field_checks.base_readings import below_base
         (262.0, 1.2, 0.1, False),  # less than 0.5 %
         (262.0, 1.7, 0.6, False),  # less than three sigma
         (1.0, 300.0, 0.5, False),  # a pit, with a rim
+        (100.0, 150.0, 1.0, True),  # a pile in a deep hollow
         (0.0, 0.0, 0.0, False),
         (262.0, 4.1, float("nan"), False),
     ],
@@ -20,4 +21,5 @@ def test_a_trench_in_the_outline_is_named_and_a_pit_is_none(cut, fill, sigma, to
     doubts = below_base(cut, fill, sigma)
     assert [d.name for d in doubts] == ["below_base"] * told
     if told:
-        assert doubts[0].value == fill and "4.1 m³" in doubts[0].text
+        assert doubts[0].value == min(cut, fill)
+        assert f"{min(cut, fill):.3g} m³" in doubts[0].text

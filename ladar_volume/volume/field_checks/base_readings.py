@@ -207,14 +207,15 @@ def below_base(cut_m3: float, fill_m3: float, sigma_m3: float) -> list[Doubt]:
     """A body that rises above its ground has next to nothing below it. sigma_m3 : of the fill, by
     chance.
     """
-    if not cut_m3 > fill_m3 > max(CHANCE * sigma_m3, BELOW * cut_m3):
+    less = min(cut_m3, fill_m3)  # in a deep hollow most of a body lies below
+    if not less > max(CHANCE * sigma_m3, BELOW * cut_m3):
         return []
     words = (
-        f"{fill_m3:.3g} m³ inside the outline of the body lie below its base and are taken off: it "
+        f"{less:.3g} m³ inside the outline of the body lie below its base and are taken off: it "
         "may stand on a pad or in a hollow, lower than the ground around, or a trench or ruts run "
         "along its toe; narrow volume.ground_ring_m, give a level, or survey the empty site"
     )
-    return [Doubt("below_base", words, fill_m3)]
+    return [Doubt("below_base", words, less)]
 
 
 def outline_points(tin: Tin, inside: Bool) -> I64:

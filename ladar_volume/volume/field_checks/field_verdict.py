@@ -171,7 +171,8 @@ def with_base(
     if found is None:
         return volume
     told = base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base)
-    told += below_base(volume.cut_m3, volume.fill_m3, volume.sigma_m3)
+    if volume.cut_m3 > volume.fill_m3:  # a pit has a rim
+        told += below_base(volume.cut_m3, volume.fill_m3, volume.sigma_m3)
     doubts = Verdict(tuple(told))
     share = volume.budget_m6.get("base_surface", 0.0) / max(volume.sigma_m3**2, 1e-300)
     factor = student_factor(volume.coverage_factor, volume.confidence, share, found.freedom)
