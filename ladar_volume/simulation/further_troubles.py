@@ -335,6 +335,12 @@ def rain(d: SceneDraft) -> None:
     d.flight_trouble = dataclasses.replace(d.flight_trouble, dropout_share=d.rng.uniform(0.5, 0.8))
 
 
+def echoes(d: SceneDraft) -> None:
+    """1 to 6 % of the returns take a longer way and seem to come from below the ground."""
+    d.names = ("edges", "object", "budget")
+    d.flight_trouble = dataclasses.replace(d.flight_trouble, echo_share=d.rng.uniform(0.01, 0.06))
+
+
 FURTHER: tuple[Callable[[SceneDraft], Any], ...] = (
     shrubs,
     low_shrubs,
@@ -364,4 +370,5 @@ FURTHER: tuple[Callable[[SceneDraft], Any], ...] = (
     lever_above_level,
     float_spans,
     rain,
+    echoes,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -91,7 +92,12 @@ class TroubledSurvey(Survey):
         return t, antenna + np.where(late[:, None], self.flight_trouble.jump_m, 0.0), sigma, status
 
     def sweeps(self) -> Iterator[Sweep]:
-        """Clouds of one turn each; from a time on, of the later scene."""
+        """Clouds of one turn each, with echoes; from a time on, of the later scene."""
+        rng = np.random.default_rng([self.options.seed, 3])
+        for sweep in self._hits():
+            yield with_echoes(sweep, self.flight_trouble.echo_share, rng)
+
+    def _hits(self) -> Iterator[Sweep]:
         changes = EPOCH_NS + self.flight_trouble.later_s * 1e9
         yield from (s for s in super().sweeps() if s.stamp_ns < changes)
         if self.flight_trouble.later is not None:
@@ -104,3 +110,13 @@ class TroubledSurvey(Survey):
                 self.stated_budget,
             )
             yield from (s for s in after.sweeps() if s.stamp_ns >= changes)
+
+
+def with_echoes(sweep: Sweep, share: float, rng: np.random.Generator) -> Sweep:
+    """A share of the returns took a longer way, and seem to come from 0.5 to 4 m behind what was
+    hit.
+    """
+    late = rng.random(len(sweep.xyz)) < share
+    further = rng.uniform(0.5, 4.0, len(late)) / np.linalg.norm(sweep.xyz, axis=1)
+    xyz = np.where(late[:, None], sweep.xyz * (1.0 + further[:, None]), sweep.xyz)
+    return dataclasses.replace(sweep, xyz=xyz.astype(np.float32))

@@ -46,6 +46,7 @@ class FlightTrouble:
     jump_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     later_s: float = math.inf
     later: Scene | None = None
+    echo_share: float = 0.0
 
 
 @dataclass(frozen=True)

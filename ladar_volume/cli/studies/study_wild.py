@@ -16,7 +16,7 @@ def add_wild(studies: Verbs) -> None:
     parser = studies.add_parser(
         "wild",
         help="surveys with holes, cuts, walls, bent ground, wrong budgets: does the result say so?",
-        description="Simulates random surveys of 49 kinds of trouble through the whole engine, "
+        description="Simulates random surveys of 50 kinds of trouble through the whole engine, "
         "ten seconds each or twenty, and counts errors beyond three printed sigmas that no doubt "
         "names.",
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, PatchTable, StandingObject, Volume
+from ladar_volume.model.records import F64, I64, Bool, PatchTable, StandingObject, Volume
 from ladar_volume.volume.field_checks.standing_objects import (
     bent_vertices,
     objects_of,
@@ -24,9 +24,9 @@ from ladar_volume.volume.measured_body import (
 )
 
 #: Patches of mixed returns scatter so many times as much as usual, and so many metres, and have at
-#: most such a part of the usual number of returns. Where more of the points are of such patches,
+#: most such a part of the usual number of returns. Where more of the returns are in such patches,
 #: the survey itself scatters.
-SCATTERED, LEAST_M, FEW, MOST_MIXED = 5.0, 0.05, 0.25, 0.1
+SCATTERED, LEAST_M, FEW, MOST_MIXED = 5.0, 0.05, 0.25, 0.25
 
 
 class Cleared(NamedTuple):
@@ -61,21 +61,33 @@ def all_of(survey: SurveyedSurface, footing: Footing) -> Cleared:
 
 
 def mixed_patches(patches: PatchTable) -> Bool:
-    """Patches (m,) of returns that were measured half on an edge and half on what lies behind it,
-    and lie between the two: few where all around has many, and scattered as nothing around.
+    """Patches (m,) of returns that lie on no surface, such as those measured half on an edge and
+    half on what lies behind it, and echoes from below the ground: few where all around has many,
+    and scattered as nothing around. What is usual is told from patches and from returns, as few
+    such returns make many patches.
     """
-    scattered = patches.sigma > max(LEAST_M, SCATTERED * float(np.median(patches.sigma)))
-    out: Bool = scattered & (patches.used < FEW * np.median(patches.used))
-    return out
+    usual = min(float(np.median(patches.sigma)), of_returns(patches.sigma, patches.used))
+    many = max(float(np.median(patches.used)), of_returns(patches.used, patches.used))
+    out: Bool = patches.sigma > max(LEAST_M, SCATTERED * usual)
+    return out & (patches.used < FEW * many)
+
+
+def of_returns(value: F64 | I64, used: I64) -> float:
+    """The median over returns of values (m,) of patches with so many returns each (m,)."""
+    order = np.argsort(value, kind="stable")
+    below = np.cumsum(used[order])
+    return float(value[order[np.searchsorted(below, 0.5 * below[-1])]])
 
 
 def without_mixed(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> Cleared:
     """The surface without patches of mixed returns: what they lie in is a shadow, which nobody
     saw.
     """
-    mixed = mixed_patches(survey.patches)[survey.sources.geometry.row]
-    some = 0 < np.count_nonzero(mixed) <= MOST_MIXED * len(mixed)
-    cleared = without_points(survey, mixed, parameters) if some else None
+    patches = survey.patches
+    scattered = mixed_patches(patches)
+    mixed = scattered[survey.sources.geometry.row]
+    few = patches.used[scattered].sum() <= MOST_MIXED * patches.used.sum()
+    cleared = without_points(survey, mixed, parameters) if few and mixed.any() else None
     if cleared is None:
         return all_of(survey, footing)
     return Cleared(*cleared, (), mixed)
