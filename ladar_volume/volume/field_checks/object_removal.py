@@ -9,7 +9,7 @@ import numpy as np
 
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, PatchTable, StandingObject, Volume
+from ladar_volume.model.records import F64, I32, Bool, PatchTable, StandingObject, Volume
 from ladar_volume.volume.field_checks.standing_objects import (
     bent_vertices,
     objects_of,
@@ -72,7 +72,7 @@ def mixed_patches(patches: PatchTable) -> Bool:
     return out & (patches.used < FEW * many)
 
 
-def of_returns(value: F64 | I64, used: I64) -> float:
+def of_returns(value: F64 | I32, used: I32) -> float:
     """The median over returns of values (m,) of patches with so many returns each (m,)."""
     order = np.argsort(value, kind="stable")
     below = np.cumsum(used[order])
