@@ -24,6 +24,7 @@ from ladar_volume.model.records import F64, I64, Agreement, Bool, PatchTable, So
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_differences import (
     pass_differences,
+    scatter_of_looks,
     scatter_within_bins,
     times_root,
 )
@@ -41,6 +42,9 @@ GRAIN_M = 0.01
 #: What the ground scatters more than a body where it is overgrown, m, at least; and what a body
 #: does where no ground is to compare with.
 GRASS_M, ROUGH_M = 0.009, 0.015
+#: Least share of what the body scatters beyond the budget that the ground scatters more: what is
+#: wrong with a budget scatters slopes more than level ground, and hides grass.
+OF_SLOPES = 0.5
 #: Probability below which a budget is refuted, and by how much its variances then are too small at
 #: least, and are scaled at most.
 REFUTED, LEAST, MOST = 1e-2, 2.25, 1000.0
@@ -172,6 +176,14 @@ class Scatter(NamedTuple):
         """
         square = scatter_within_bins(patches, self.rows)
         source = {name: self.source[name] for name in ("noise", "beams")}
+        return None if square is None else Scatter(self.rows, square, source)
+
+    def of_looks(self, patches: PatchTable) -> Scatter | None:
+        """Of each return beside what differs between time bins and between beams, of which noise
+        alone says anything; None where that is not known.
+        """
+        square = scatter_of_looks(patches, self.rows)
+        source = {"noise": self.source["noise"]}
         return None if square is None else Scatter(self.rows, square, source)
 
     def roughness(self, patches: PatchTable) -> F64:
@@ -340,9 +352,10 @@ def sideways_shift(found: Scatter, apart_m2: F64, normal: F64) -> tuple[float, f
     return major, math.degrees(math.atan2(float(axes[1, 1]), float(axes[0, 1])) % math.pi)
 
 
-def cover_scatter(found: Scatter, covered: Bool, bare: Bool) -> float:
+def cover_scatter(found: Scatter, covered: Bool, bare: Bool, share: float = 1.0) -> float:
     """By how much patches of the ground scatter more than those of the body, or the other way
-    round, m: 0 where they do not by as much as grass does. covered, bare : (m,) of all patches.
+    round, m: 0 where they do not by as much as grass does, and by so large a share of what bare
+    ones scatter beyond the budget. covered, bare : (m,) of all patches.
     """
     left, on, off = found.unexplained_m2, covered[found.rows], bare[found.rows]
     on, off = on & ~off, off & ~on
@@ -350,7 +363,7 @@ def cover_scatter(found: Scatter, covered: Bool, bare: Bool) -> float:
         return 0.0
     rest = max(0.0, float(np.median(left[off])))  # where that is much, something else is wrong
     more = float(np.median(left[on])) - rest
-    return math.sqrt(more) if more > max(GRASS_M**2, rest) else 0.0
+    return math.sqrt(more) if more > max(GRASS_M**2, share * rest) else 0.0
 
 
 def own_scatter(found: Scatter, body: Bool) -> float:

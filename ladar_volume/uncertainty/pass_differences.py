@@ -42,6 +42,9 @@ INEXACT, NOISE, DIGITS = 0.05, 0.3, 1e-9
 BLOCKS = 16
 #: Share of a beam's variance that the mean of those of one look has.
 FEW_BEAMS = 0.25
+#: Returns of a patch that a beam which saw it has, more than; least share of the returns that is
+#: their degrees of freedom.
+SEEN, LEAST_FREE = 0.5, 0.3
 #: Least speed that is counted, m/s.
 SLOW = 1.0
 
@@ -308,15 +311,27 @@ def bin_covariances(
     return out
 
 
+def beam_effects(patches: PatchTable, rows: I64) -> F64:
+    """Sensitivities (k, 3, 2 b) of patches ``rows`` (k,) to range and vertical angle of b beams."""
+    out: F64 = calibration_rows(patches, rows)[:, [0, -2, -1], SHARED:].astype(np.float64)
+    return out
+
+
+def beam_shares(to_range: F64) -> F64:
+    """Shares (k, b) of the returns of k patches that each beam has, from their sensitivities
+    (k, 3, b) to its range.
+    """
+    share: F64 = np.linalg.norm(to_range, axis=1)
+    return share / np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
+
+
 def beam_residuals(patches: PatchTable, rows: I64, b: BudgetParameters) -> Residuals:
     """Mean residuals of the beams of patches ``rows`` within their bins, with the effects of the
     range and of the vertical angle of each beam.
     """
-    beams = beam_count(patches)
-    M = calibration_rows(patches, rows)[:, [0, -2, -1], SHARED:].astype(np.float64)
-    share = np.linalg.norm(M[:, :, :beams], axis=1)
-    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
-    patch, beam = np.nonzero(share * patches.used[rows][:, None] > 0.5)
+    beams, M = beam_count(patches), beam_effects(patches, rows)
+    share = beam_shares(M[:, :, :beams])
+    patch, beam = np.nonzero(share * patches.used[rows][:, None] > SEEN)
     part = share[patch, beam]
     A = np.zeros((len(patch), 2 * beams))
     every = np.arange(len(patch))
@@ -348,6 +363,25 @@ def scatter_within_bins(patches: PatchTable, rows: I64) -> F64 | None:
     """
     between = between_bins(patches, rows)
     return None if between is None else np.maximum(patches.sigma[rows] ** 2 - between, 0.0)
+
+
+def scatter_of_looks(patches: PatchTable, rows: I64) -> F64 | None:
+    """Mean squares (k,) m² of each return of patches ``rows`` (k,) of its own, by the degrees of
+    freedom: beside what differs between their time bins and between their beams, whatever that is;
+    None where it is not known.
+    """
+    within = scatter_within_bins(patches, rows)
+    if within is None:
+        return None
+    used = patches.used[rows].astype(np.float64)
+    share = beam_shares(beam_effects(patches, rows)[:, :, : beam_count(patches)])
+    seen = share * used[:, None] > SEEN
+    mean = np.where(seen, patches.beam_residual[rows].astype(np.float64), 0.0)
+    mean -= (share * mean).sum(axis=1, keepdims=True)
+    between = np.sum(share * np.where(seen, mean, 0.0) ** 2, axis=1)
+    free = used - np.diff(patches.nav_start)[rows] - seen.sum(axis=1) + 1
+    out: F64 = np.maximum(within - between, 0.0) * used / np.maximum(free, LEAST_FREE * used)
+    return out
 
 
 def pass_differences(

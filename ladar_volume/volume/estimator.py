@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
@@ -164,9 +165,12 @@ class VolumeEstimator:
         Without ``naive``, which is printed beside it in results, that sigma is NaN.
         """
         survey, footing, objects = on_base
-        bodies = [
-            measure_body(survey, footing, part, self.parameters, naive) for part in footing.parts
-        ]
+        bodies, passes = run_concurrently(
+            lambda: [
+                measure_body(survey, footing, p, self.parameters, naive) for p in footing.parts
+            ],
+            lambda: passes_of(survey, footing, self.parameters),
+        )
         self._main = survey, footing, bodies[0]
         volumes = tuple(
             volume_of(survey, footing, body, self.parameters, self._t_ns) for body in bodies
@@ -175,7 +179,6 @@ class VolumeEstimator:
             [v.sigma_m3**2 for v in volumes],
             lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
         )
-        passes = passes_of(survey, footing, self.parameters)
         check = self.parameters.volume.budget_check
         larger = np.sqrt([variance_ratio(v, passes.agreement, check) for v in volumes])
         volumes = tuple(

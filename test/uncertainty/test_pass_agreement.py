@@ -12,6 +12,7 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import Agreement, SourceAgreement, Volume
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import (
+    OF_SLOPES,
     Scatter,
     beside_steep_faces,
     cover_scatter,
@@ -112,6 +113,18 @@ def test_ground_that_scatters_more_than_the_body_is_overgrown():
         made = dataclasses.replace(patches, sigma=sigma)
         found = cover_scatter(patch_scatter(made, navigation(made), BUDGET), ground, ~ground)
         assert (found == 0.0) if least == 0.0 else least < found < scatter
+
+
+def test_grass_is_told_where_the_slopes_scatter_too():
+    """What is wrong with attitudes scatters slopes: -29 m³ of an error were told as 0.7."""
+    patches = twice_seen()
+    ground = patches.centre[:, 0] < 0.0
+    made = dataclasses.replace(patches, sigma=np.where(ground, 0.024, 0.02))
+    scatter = patch_scatter(made, navigation(made), BUDGET)
+    assert cover_scatter(scatter, ground, ~ground) == 0.0
+    more = math.sqrt(0.024**2 - 0.02**2)
+    found = cover_scatter(scatter, ground, ~ground, OF_SLOPES)
+    assert found == pytest.approx(more, rel=0.2)
 
 
 def test_a_body_that_scatters_more_than_its_budget_is_rough_or_overgrown():

@@ -20,6 +20,7 @@ from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.pass_agreement import (
     MOST,
+    OF_SLOPES,
     REFUTED,
     cover_scatter,
     own_scatter,
@@ -341,6 +342,12 @@ def ground_and_body(
     return ground, body
 
 
+def refuted_beside_beams(agreement: Agreement) -> bool:
+    """Whether a budget is refuted by more than its beams, which scatter no return of its own."""
+    freed = {s.name for s in agreement.sources if s.scale > 1.0} - {"noise"}
+    return agreement.refuted and freed != {"beams"}
+
+
 def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> PassAgreement:
     """The passes of a survey, the same for all of its bodies. Where the ground scatters more than
     the body it is overgrown: the body alone is asked. The ground is never asked alone: level ground
@@ -352,17 +359,17 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
         return PassAgreement(None)
     cover = body_cover = 0.0
     ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
-    within = scatter.within_bins(survey.patches)
     if len(footing.base.support):
-        cover = cover_scatter(within or scatter, ground, body)
-        body_cover = cover_scatter(within or scatter, body, ground)
-    elif within:
+        own = scatter.of_looks(survey.patches) or scatter
+        cover = cover_scatter(own, ground, body, OF_SLOPES)
+        body_cover = cover_scatter(own, body, ground)
+    elif within := scatter.within_bins(survey.patches):
         body_cover = own_scatter(within, body)
     asked = scatter.of(body[scatter.rows]) if cover > 0.0 else scatter
     gap_s = parameters.georeference.max_position_gap_s
     agreement = pass_agreement(asked, survey.patches, nav, b, gap_s)
     # errors of position and attitude scatter slopes, and level ground does not show them
-    if agreement is not None and (agreement.refuted or agreement.shift_m > 0.0):
+    if agreement is not None and (agreement.shift_m > 0.0 or refuted_beside_beams(agreement)):
         body_cover = 0.0
     change = surface_change(survey.patches, nav.bin_ns)
     return PassAgreement(agreement, cover, body_cover, change)

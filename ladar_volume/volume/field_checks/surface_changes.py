@@ -40,8 +40,9 @@ MOVED, LEAST_M = 5.0, 0.02
 #: It scatters above so many times the median; it was seen at one time where less than this share of
 #: its returns is of the other.
 SCATTERS, ONCE = 3.0, 0.05
-#: Rounds of the fit; and the quantile of what moved that stands for patches seen at one time.
-ROUNDS, MUCH = 8, 0.9
+#: Rounds of the fit at most, and the relative change of its scale at which they end; and the
+#: quantile of what moved that stands for patches seen at one time.
+ROUNDS, SETTLED, MUCH = 8, 0.01, 0.9
 
 
 class SurfaceChange(NamedTuple):
@@ -69,15 +70,17 @@ class Moved(NamedTuple):
 
 class Means(NamedTuple):
     """What patches ``row`` (k,) hold of time bins: of each entry (l,) whose of these it is, the
-    bin, the returns, and their mean residual, m. apart_m : distance of neighbouring patches, m
+    bin, the returns, and the sum of their residuals, m; and of each patch (k,) all returns, and the
+    sum of their residuals.
     """
 
     row: I64
     owner: I64
     bins: I64
     returns: F64
-    residual: F64
-    apart_m: float
+    sums: F64
+    every: F64
+    whole: F64
 
 
 def patch_means(patches: PatchTable) -> Means | None:
@@ -93,9 +96,15 @@ def patch_means(patches: PatchTable) -> Means | None:
         return None
     unit = navigation_units(patches)[row[owner], -2, 0].astype(np.float64)
     returns = patches.used[row[owner]] * patches.M_nav[entry, -2, 0] * unit
-    near = cKDTree(patches.centre[row]).query(patches.centre[row], 2)[0]
-    apart = float(np.median(np.asarray(near)[:, 1]))
-    return Means(row, owner, patches.nav_bin[entry], returns, residual, apart)
+    sums = returns * residual
+    every, whole = (np.bincount(owner, of, len(row)) for of in (returns, sums))
+    return Means(row, owner, patches.nav_bin[entry], returns, sums, every, whole)
+
+
+def apart(place: F64) -> float:
+    """Distance of neighbouring patches at places (k, 3), m."""
+    near = np.asarray(cKDTree(place).query(place, 2)[0])
+    return float(np.median(near[:, 1]))
 
 
 def common_offset(X: F64, y: F64, weight: F64) -> tuple[F64, float]:
@@ -106,21 +115,18 @@ def common_offset(X: F64, y: F64, weight: F64) -> tuple[F64, float]:
     for _ in range(ROUNDS):
         A = X * w[:, None]
         left = y - X @ np.linalg.lstsq(A.T @ X, A.T @ y, rcond=1e-12)[0]
-        scale = 1.4826 * float(np.median(np.abs(left)))
+        before, scale = scale, 1.4826 * float(np.median(np.abs(left)))
+        if abs(scale - before) <= SETTLED * scale:
+            break
         w = weight / (1.0 + (left / max(2.0 * scale, 1e-9)) ** 2) ** 2
     return left, scale
 
 
 def moved_at(patches: PatchTable, seen: Means, moment: float) -> Moved | None:
     """What patches show of a moment, a time bin; None where few were seen before and after it."""
-    late = seen.bins >= moment
-    k = len(seen.row)
-    sums = seen.returns * seen.residual
-    (before, below), (after, above) = (
-        [np.bincount(seen.owner[some], of[some], k) for of in (seen.returns, sums)]
-        for some in (~late, late)
-    )
-    every = before + after
+    late, every, k = seen.bins >= moment, seen.every, len(seen.row)
+    after, above = (np.bincount(seen.owner, of * late, k) for of in (seen.returns, seen.sums))
+    before, below = every - after, seen.whole - above
     good = np.minimum(before, after) > np.maximum(RETURNS, SHARE * every)
     if np.count_nonzero(good) < FEWEST:
         return None
@@ -155,33 +161,39 @@ def surface_change(patches: PatchTable, bin_ns: int) -> SurfaceChange | None:
     if seen is None:
         return None
     bins, place = np.unique(seen.bins), patches.centre[seen.row]
-    most, best, moment = 0.0, None, 0.0
+    most, best, moment, apart_m = 0.0, None, 0.0, 0.0
     for q in MOMENTS:
         now = float(np.quantile(bins, q))
         moved = moved_at(patches, seen, now)
         if moved is None or np.count_nonzero(moved.far) < TOGETHER:
             continue
+        apart_m = apart_m or apart(place)
         size = sum(
-            float(np.abs(moved.off[together(place, own, own, seen.apart_m)]).sum())
+            float(np.abs(moved.off[together(place, own, own, apart_m)]).sum())
             for own in (moved.far & (moved.off > 0.0), moved.far & (moved.off < 0.0))
         )
         if size > most:
             most, best, moment = size, moved, now
-    return None if best is None else change_of(patches, seen, best, int(moment * bin_ns))
+    t_ns = int(moment * bin_ns)
+    return None if best is None else change_of(patches, seen, best, t_ns, apart_m)
 
 
-def change_of(patches: PatchTable, seen: Means, moved: Moved, t_ns: int) -> SurfaceChange:
-    """The change that patches show, with those among them that show one of the two surfaces."""
+def change_of(
+    patches: PatchTable, seen: Means, moved: Moved, t_ns: int, apart_m: float
+) -> SurfaceChange:
+    """The change that patches show, with those among them that show one of the two surfaces.
+    apart_m : distance of neighbouring patches, m
+    """
     place, sigma = patches.centre[seen.row], patches.sigma[seen.row]
     usual = float(np.median(sigma))
     once = np.minimum(moved.share, 1.0 - moved.share) < ONCE
-    some = together(place, moved.far | once | (sigma > SCATTERS * usual), moved.far, seen.apart_m)
+    some = together(place, moved.far | once | (sigma > SCATTERS * usual), moved.far, apart_m)
     by = np.maximum(2.0 * np.sqrt(np.maximum(sigma**2 - usual**2, 0.0)), np.abs(moved.off))
     by[once & ~moved.far] = float(np.quantile(by[moved.far], MUCH))
     up = float(moved.off[moved.far].sum()) > 0.0
-    cell = np.floor(place[some, :2] / seen.apart_m).astype(np.int64)
+    cell = np.floor(place[some, :2] / apart_m).astype(np.int64)
     number = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
-    area = seen.apart_m**2 / np.bincount(number)[number]
+    area = apart_m**2 / np.bincount(number)[number]
     return SurfaceChange(t_ns, seen.row[some], by[some], area, up)
 
 
