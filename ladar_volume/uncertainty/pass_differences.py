@@ -322,7 +322,8 @@ def beam_shares(to_range: F64) -> F64:
     (k, 3, b) to its range.
     """
     share: F64 = np.linalg.norm(to_range, axis=1)
-    return share / np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
+    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
+    return share
 
 
 def beam_residuals(patches: PatchTable, rows: I64, b: BudgetParameters) -> Residuals:

@@ -97,7 +97,7 @@ def patch_means(patches: PatchTable) -> Means | None:
     unit = navigation_units(patches)[row[owner], -2, 0].astype(np.float64)
     returns = patches.used[row[owner]] * patches.M_nav[entry, -2, 0] * unit
     sums = returns * residual
-    every, whole = (np.bincount(owner, of, len(row)) for of in (returns, sums))
+    every, whole = (np.bincount(owner, of, len(row)).astype(np.float64) for of in (returns, sums))
     return Means(row, owner, patches.nav_bin[entry], returns, sums, every, whole)
 
 
