@@ -1,6 +1,7 @@
 """Whether a body stands on a terrace of its own, such as a slab or a filled pad, which the outline
-takes in: much of its area lies at one height a little above the base, far more than just below
-that height and just above it, and a part of the body lies above it.
+takes in: much of its area lies about one height a little above the base, far more than at some
+height below that and at some height not far above it, and a part of the body lies above it. What
+is filtered has soft edges: just beside that height lies some of the terrace, too.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from ladar_volume.tin.boundary import border
 #: Heights of a terrace above the base, m; half the range of heights that is one, in standard
 #: deviations of the ground about the base, and the least of these, m.
 HEIGHTS, HALF, LEAST_M = (0.05, 1.0), 2.0, 0.0125
-#: So many times the area of the ranges next to it; its least mean width, m; and the share of the
-#: volume above it.
-TIMES, WIDE_M, ABOVE = 2.0, 0.2, 0.15
+#: So many times the area of a range below it, and of one of as many above; its least mean width, m;
+#: and the share of the volume above it.
+TIMES, REACH, WIDE_M, ABOVE = 2.0, 4, 0.2, 0.15
 
 
 def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I64:
@@ -41,16 +42,18 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I6
 
 def terrace_height(height: F64, area: F64, half: float) -> float:
     """The height about which, within half, m, the most area (k,) m² of heights (k,) m lies, of
-    those with far less next to it; 0 where there is none.
+    those with far less somewhere below and within :data:`REACH` above; 0 where there is none.
     """
     step = 0.5 * half
     at = np.arange(max(HEIGHTS[0], 2.5 * half), HEIGHTS[1], step)
     if not len(at):
         return 0.0
-    bins = len(at) + 11  # six below the first, as many above the last
+    n, reach = len(at), round(REACH * 4)
     low = at[0] - 6.0 * step
+    bins = n + 7 + reach
     by_bin = np.histogram(height, bins, (low, low + bins * step), weights=area)[0]
     four = np.convolve(by_bin, np.ones(4), "valid")  # from each bin on: as high as 2 half
-    below, own, above = (four[k : k + len(at)] for k in (0, 4, 8))
+    own, below = four[4 : n + 4], np.minimum.accumulate(four)[:n]
+    above = np.lib.stride_tricks.sliding_window_view(four[8:], reach - 3)[:n].min(axis=1)
     own = np.where(own > TIMES * np.maximum(below, above), own, 0.0)
     return float(at[np.argmax(own)]) if own.any() else 0.0
