@@ -67,6 +67,9 @@ VISIBLE = 0.02
 #: these, the shift is no less than so many metres, and across it less than this part of the square.
 #: Patches that scatter more than so many of the others are left out.
 SHIFTED, SHIFT_M, ROUND, USUAL = 0.25, 0.06, 0.3, 0.98
+#: Root mean square of what a plane leaves of a curve, and a fit of second degree of a cone: in
+#: radii and in the mean turn of the normals within a radius, or its square.
+MISFIT = (0.2, 0.5)
 #: A fit bends over an edge so many distances of neighbouring patches beside a steep face.
 BENDS = 3.0
 
@@ -317,6 +320,23 @@ def beside_steep_faces(centre: F64, normal: F64) -> Bool:
     off = np.asarray(cKDTree(centre[steep]).query(centre)[0])
     beside: Bool = off <= BENDS * apart
     return beside
+
+
+def plain_patches(centre: F64, normal: F64, asked: I64, radius_m: float, degree: int) -> Bool:
+    """Which patches with centre and normal (m, 3) lie where the surface bends so little within the
+    filter's radius that its shape scatters no return, (m,): not about the top of a cone, nor along
+    crest and toe. All of them where too few of those asked (k,) are left. degree : of the filter's
+    fit
+    """
+    m = len(centre)
+    near, beside = cKDTree(centre).query_pairs(radius_m, output_type="ndarray").T
+    turn = np.linalg.norm(normal[near] - normal[beside], axis=1)
+    both = np.concatenate([near, beside])
+    count = np.maximum(np.bincount(both, minlength=m), 1)
+    mean = np.bincount(both, np.concatenate([turn, turn]), m) / count
+    left_m = MISFIT[min(degree, 2) - 1] * radius_m * mean ** min(degree, 2)
+    plain: Bool = left_m < 0.5 * GRASS_M
+    return plain if np.count_nonzero(plain[asked]) >= FEWEST // 2 else np.ones(m, np.bool_)
 
 
 def sideways_shift(found: Scatter, apart_m2: F64, normal: F64) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from ladar_volume.uncertainty.pass_agreement import (
     own_scatter,
     pass_agreement,
     patch_scatter,
+    plain_patches,
     scatter_by_source,
     sideways_shift,
     source_agreement,
@@ -135,6 +136,23 @@ def test_a_body_that_scatters_more_than_its_budget_is_rough_or_overgrown():
         found = own_scatter(patch_scatter(made, navigation(made), BUDGET), body)
         assert found == (pytest.approx(scatter, rel=0.15) if scatter > 0.02 else 0.0)
         assert own_scatter(patch_scatter(made, navigation(made), BUDGET), body & ~body) == 0.0
+
+
+def test_about_the_top_of_a_cone_and_along_its_toe_returns_scatter_by_its_shape():
+    """A clean pile filtered with a radius of 1 m was overgrown: 295 ± 12 m³, and is 295.3 ± 0.7."""
+
+    x, y = (c.ravel() for c in np.meshgrid(*2 * [np.arange(-10.0, 10.1, 0.5)]))
+    r = np.hypot(x, y)
+    centre = np.column_stack([x, y, np.maximum(0.0, 0.6 * (7.0 - r))])
+    n = np.column_stack([np.where(r < 7.0, 0.6 * c / np.maximum(r, 0.1), 0.0) for c in (x, y)])
+    n = np.column_stack([n, np.ones(len(r))]) / np.hypot(np.hypot(*n.T), 1.0)[:, None]
+    every = np.arange(len(r))
+    plain = plain_patches(centre, n, every, 1.0, 2)
+    assert not plain[(r < 2.0) | (abs(r - 7.0) < 0.3)].any()
+    assert plain[(r > 4.5) & (r < 5.5)].all() and plain[r > 9.0].all()
+    assert np.count_nonzero(plain_patches(centre, n, every, 1.0, 1)) < np.count_nonzero(plain)
+    assert plain_patches(centre, n, every, 0.55, 2)[(r > 2.0) & (r < 6.0)].all()
+    assert plain_patches(centre, n, every[r < 2.0], 1.0, 2).all()  # nothing else to ask
 
 
 LINES = {"noise": 0.01, "position": 0.04, "boresight": 0.09, "base_surface": 0.25}

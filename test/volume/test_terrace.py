@@ -46,3 +46,14 @@ def test_the_height_is_where_far_more_area_lies_than_next_to_it():
     height, areas = np.concatenate([flank, ledge]), np.concatenate([area, np.full(200, 0.05)])
     assert terrace_height(height, areas, 0.02) == pytest.approx(0.30, abs=0.02)
     assert terrace_height(height + 0.9, areas, 0.02) == 0.0  # a berm, which is the pile's own
+
+
+def test_a_ledge_whose_edges_the_filter_rounded_is_found():
+    """A slab of 23 cm, 1 to 3 m wide under filtered points: 1014 ± 1.1 m³ were told of 904."""
+    flank = np.linspace(0.0, 4.0, 4001)
+    ledge = np.random.default_rng(1).normal(0.23, 0.04, 4000)
+    height = np.concatenate([flank, ledge])
+    area = np.concatenate([np.full(4001, 0.05), np.full(4000, 0.01)])
+    assert terrace_height(height, area, 0.02) == pytest.approx(0.23, abs=0.03)
+    runs_out = 4.0 * np.linspace(0.0, 1.0, 4001) ** 3
+    assert terrace_height(runs_out, np.full(4001, 0.05), 0.02) == 0.0

@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.choices import CALIBRATION_GROUPS, SOURCE_LINES
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.parameters import Parameters, VolumeParameters
+from ladar_volume.model.parameters import Parameters, SurfaceFilterParameters, VolumeParameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
@@ -22,10 +22,12 @@ from ladar_volume.uncertainty.pass_agreement import (
     MOST,
     OF_SLOPES,
     REFUTED,
+    Scatter,
     cover_scatter,
     own_scatter,
     pass_agreement,
     patch_scatter,
+    plain_patches,
 )
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
@@ -348,6 +350,29 @@ def refuted_beside_beams(agreement: Agreement) -> bool:
     return agreement.refuted and freed != {"beams"}
 
 
+def covers(
+    survey: SurveyedSurface, scatter: Scatter, ground: Bool, body: Bool, f: SurfaceFilterParameters
+) -> tuple[float, float]:
+    """By how much the ground scatters more than the body, m, and the body more than the ground, or
+    than its budget where no ground is asked; 0 where plants need not be the cause. ground, body :
+    (m,) patches
+    """
+    patches, cover = survey.patches, 0.0
+    if ground.any():
+        own = scatter.of_looks(patches) or scatter
+        cover = cover_scatter(own, ground, body, OF_SLOPES)
+        body_cover = cover_scatter(own, body, ground)
+    else:
+        own = scatter.within_bins(patches) or scatter
+        body_cover = own_scatter(own, body)
+    if body_cover > 0.0:  # or the body bends more than the fits do
+        asked = scatter.rows[body[scatter.rows]]
+        plain = plain_patches(patches.centre, patches.normal, asked, f.radius_m, f.degree)
+        plain &= body
+        body_cover = cover_scatter(own, plain, ground) if ground.any() else own_scatter(own, plain)
+    return cover, body_cover
+
+
 def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> PassAgreement:
     """The passes of a survey, the same for all of its bodies. Where the ground scatters more than
     the body it is overgrown: the body alone is asked. The ground is never asked alone: level ground
@@ -357,14 +382,8 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     scatter = patch_scatter(survey.patches, nav, b)
     if scatter is None:
         return PassAgreement(None)
-    cover = body_cover = 0.0
     ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
-    if len(footing.base.support):
-        own = scatter.of_looks(survey.patches) or scatter
-        cover = cover_scatter(own, ground, body, OF_SLOPES)
-        body_cover = cover_scatter(own, body, ground)
-    elif within := scatter.within_bins(survey.patches):
-        body_cover = own_scatter(within, body)
+    cover, body_cover = covers(survey, scatter, ground, body, parameters.filter)
     asked = scatter.of(body[scatter.rows]) if cover > 0.0 else scatter
     gap_s = parameters.georeference.max_position_gap_s
     agreement = pass_agreement(asked, survey.patches, nav, b, gap_s)
