@@ -244,6 +244,8 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     if not found.refuted:
         return scaled_lines(volume, scales)
     words = refuted_words(found)
+    if refuted_beside_beams(found):
+        words += "; such errors may hide plants on the ground or on the body"
     if check == "refuse":
         raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
     doubt = Doubt("budget", words, found.factor)
