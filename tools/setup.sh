@@ -64,8 +64,8 @@ want="$(cat requirements.txt "$wanted" | sha256sum)"
 if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
     echo "Installing Python packages into .venv (a few minutes the first time)"
     .venv/bin/python -m pip install -q --disable-pip-version-check --no-compile -r "$wanted"
-    # on all cores, which pip does on one, and what nothing here imports not at all; templates among
-    # the files do not compile
+    # pip compiles on one core; some packages bring templates, which do not compile, and much that
+    # is imported by nothing here
     .venv/bin/python -m compileall -qq -j 0 -x '/(tests?|plotly|sqlalchemy|v09|v10)/' .venv/lib || true
     echo "$want" >.venv/requirements.sha256
 fi

@@ -36,7 +36,8 @@ DURATION_S = 36.0
 class FlightTrouble:
     """What happens on a flight. thin : every so many firing cycles are kept · dropout_share : of
     the returns · floats_s : spans of a float fix · jump_s, jump_m : from when on fixes are off by
-    how much · later_s, later : from when on the scene is another
+    how much · later_s, later : from when on the scene is another · echo_share : of the returns,
+    that come from behind what was hit
     """
 
     thin: int = 10

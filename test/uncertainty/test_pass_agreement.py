@@ -27,6 +27,7 @@ from ladar_volume.uncertainty.pass_agreement import (
 )
 from ladar_volume.volume.field_checks.field_verdict import (
     budget_scales,
+    refuted_beside_beams,
     variance_ratio,
     with_passes,
 )
@@ -140,7 +141,6 @@ def test_a_body_that_scatters_more_than_its_budget_is_rough_or_overgrown():
 
 def test_about_the_top_of_a_cone_and_along_its_toe_returns_scatter_by_its_shape():
     """A clean pile filtered with a radius of 1 m was overgrown: 295 ± 12 m³, and is 295.3 ± 0.7."""
-
     x, y = (c.ravel() for c in np.meshgrid(*2 * [np.arange(-10.0, 10.1, 0.5)]))
     r = np.hypot(x, y)
     centre = np.column_stack([x, y, np.maximum(0.0, 0.6 * (7.0 - r))])
@@ -272,3 +272,13 @@ def test_the_budget_table_shows_the_components():
     unknown = dataclasses.replace(group("attitude", 1.0), sigma=math.nan)
     assert told_by_passes({"passes": {"sources": [dataclasses.asdict(unknown)]}}) == {}
     assert told_by_passes({"passes": None}) == {} == told_by_passes({})
+
+
+def test_beams_alone_hide_no_plants_and_the_doubt_of_anything_else_says_that_it_may():
+    for name, hides in (("beams", False), ("attitude", True), ("noise", True)):
+        worse = SourceAgreement(name, 0.01, 25.0, 10.0, 1e-9, True, 1.0, 25.0)
+        found = Agreement(0.04, 0.012, 9.0, 10.0, 1e-9, True, (worse,))
+        assert refuted_beside_beams(found) == hides
+        doubt = with_passes(VOLUME, found, "warn").verdict.doubts[-1]
+        assert doubt.name == "budget" and ("plants" in doubt.text) == hides
+    assert not refuted_beside_beams(dataclasses.replace(found, refuted=False))

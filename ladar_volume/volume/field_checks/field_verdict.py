@@ -356,22 +356,21 @@ def covers(
     survey: SurveyedSurface, scatter: Scatter, ground: Bool, body: Bool, f: SurfaceFilterParameters
 ) -> tuple[float, float]:
     """By how much the ground scatters more than the body, m, and the body more than the ground, or
-    than its budget where no ground is asked; 0 where plants need not be the cause. ground, body :
-    (m,) patches
+    than the noise where there is no ground to compare with; 0 where plants need not be the cause.
+    ground, body : (m,) patches
     """
-    patches, cover = survey.patches, 0.0
-    if ground.any():
-        own = scatter.of_looks(patches) or scatter
-        cover = cover_scatter(own, ground, body, OF_SLOPES)
-        body_cover = cover_scatter(own, body, ground)
-    else:
-        own = scatter.within_bins(patches) or scatter
-        body_cover = own_scatter(own, body)
+    patches, own = survey.patches, scatter.of_looks(survey.patches)
+
+    def of_body(some: Bool) -> float:
+        if ground.any():
+            return cover_scatter(own or scatter, some, ground)
+        return own_scatter(own, some) if own else 0.0
+
+    cover, body_cover = cover_scatter(own or scatter, ground, body, OF_SLOPES), of_body(body)
     if body_cover > 0.0:  # or the body bends more than the fits do
         asked = scatter.rows[body[scatter.rows]]
         plain = plain_patches(patches.centre, patches.normal, asked, f.radius_m, f.degree)
-        plain &= body
-        body_cover = cover_scatter(own, plain, ground) if ground.any() else own_scatter(own, plain)
+        body_cover = of_body(body & plain)
     return cover, body_cover
 
 

@@ -15,8 +15,9 @@ from ladar_volume.tin.boundary import border
 #: Heights of a terrace above the base, m; half the range of heights that is one, in standard
 #: deviations of the ground about the base, and the least of these, m.
 HEIGHTS, HALF, LEAST_M = (0.05, 1.0), 2.0, 0.0125
-#: So many times the area of a range below it, and of one of as many above; its least mean width, m;
-#: and the share of the volume above it.
+#: A terrace has so many times the least area of as wide a range anywhere below it, and of one that
+#: ends within so many of its own widths above it; its least mean width, m; and the share of the
+#: volume above it.
 TIMES, REACH, WIDE_M, ABOVE = 2.0, 4, 0.2, 0.15
 
 
@@ -42,13 +43,13 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I6
 
 def terrace_height(height: F64, area: F64, half: float) -> float:
     """The height about which, within half, m, the most area (k,) m² of heights (k,) m lies, of
-    those with far less somewhere below and within :data:`REACH` above; 0 where there is none.
+    those with far less somewhere below and somewhere not far above; 0 where there is none.
     """
     step = 0.5 * half
     at = np.arange(max(HEIGHTS[0], 2.5 * half), HEIGHTS[1], step)
     if not len(at):
         return 0.0
-    n, reach = len(at), round(REACH * 4)
+    n, reach = len(at), 4 * REACH
     low = at[0] - 6.0 * step
     bins = n + 7 + reach
     by_bin = np.histogram(height, bins, (low, low + bins * step), weights=area)[0]
