@@ -318,6 +318,14 @@ class NodeParameters:
     map_period_s: float = param(
         5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600
     )
+    check_period_s: float = param(
+        2.0,
+        "How often passes, base and edges of the bodies are asked anew on the way, at most; "
+        "between, what was found last counts. The last volume, and one asked for, ask them all.",
+        unit="s",
+        low=0.0,
+        high=600,
+    )
     cloud_message: str = param(
         "PointCloud2",
         "What the scanner's driver publishes: clouds on velodyne_points, or the packets of a "

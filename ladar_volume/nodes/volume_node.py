@@ -94,7 +94,7 @@ class VolumeNode(StageNode):
         self._passes = StreamPasses("platform", "points", "patches")
         self._segment = 0
         self._due = False
-        self._mapped = float("-inf")
+        self._mapped = self._checked = float("-inf")
         self._last: Volume | None = (
             None  # no more of the last estimate: its surface would be held beside the new one
         )
@@ -346,8 +346,9 @@ class VolumeNode(StageNode):
         """The last estimate, if anything is new, said once more in the log."""
         try:
             with self._lock:
-                if self._due or (self._states and self._last):  # the last poses count in sigma
-                    self._compute()
+                checked = self._checked >= self._estimate_began
+                if self._due or (self._last and (self._states or not checked)):
+                    self._compute(ask_all=True)  # the last poses count in sigma
                 if self._closed is not None and self._closed.ended():
                     self._take_bodies()
         finally:
@@ -375,15 +376,16 @@ class VolumeNode(StageNode):
         else:
             log.info(f"volume at the end: {found}")
 
-    def _compute(self, naive: bool = False) -> Estimate:
+    def _compute(self, naive: bool = False, ask_all: bool = False) -> Estimate:
         self._hand_over()
         if self.stage.parameters is not self.parameters:
             self.stage.set_parameters(self.parameters)
         self._due = False
-        self._estimate_began = time.monotonic()
+        self._estimate_began = now = time.monotonic()
+        ask_all = ask_all or now - self._checked >= self.parameters.node.check_period_s
         try:
             self._since.compare(self.stage)
-            estimate = self.stage.estimate(naive)
+            estimate = self.stage.estimate(naive, ask_all)
         except LadarVolumeError as error:
             self._why_not, self._last = str(error), None  # an older volume is none of these data
             if error.reason == "volume_no_navigation" and not self.stage.awaits_path:
@@ -393,6 +395,7 @@ class VolumeNode(StageNode):
             raise
         finally:
             self._last_estimate_s = time.monotonic() - self._estimate_began
+        self._checked = now if ask_all else self._checked
         self.counts["estimates"] += 1
         self._last = estimate.volume
         self._publish(estimate)
@@ -432,7 +435,7 @@ class VolumeNode(StageNode):
                 self._mesh.publish(cdr.mesh(estimate))
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
-        estimate = self._compute(naive=True)
+        estimate = self._compute(naive=True, ask_all=True)
         verdict = estimate.volume.verdict
         step = doubts_from_lines(self._others.lines("georeference_node"), verdict)
         verdict = verdict + self._others.verdict() + self._late + step
@@ -485,7 +488,7 @@ class VolumeNode(StageNode):
 
     def _begin_bodies(self) -> None:
         with self._lock:
-            estimate = self._compute()
+            estimate = self._compute(ask_all=True)
             if self._closed is not None:
                 self._closed.begin(estimate, self.parameters, immediately=True)
 

@@ -38,6 +38,7 @@ from ladar_volume.volume.field_checks.field_verdict import (
     passes_of,
     variance_ratio,
 )
+from ladar_volume.volume.field_checks.findings import Findings
 from ladar_volume.volume.field_checks.object_removal import (
     objects_by_body,
     without_objects,
@@ -90,6 +91,7 @@ class VolumeEstimator:
         self._surface_now: RepresentedSurface | None = None
         self._sources_now: Sources | None = None
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
+        self._findings: Findings | None = None
         self._unseen_m6 = 0.0
         self._mixed_count = 0
         self._t_ns = 0
@@ -110,7 +112,7 @@ class VolumeEstimator:
     def set_parameters(self, parameters: Parameters) -> None:
         """Another base, outline or ground for the next estimate; the surface stays."""
         self.parameters = parameters
-        self._surface_now = self._sources_now = None
+        self._surface_now = self._sources_now = self._findings = None
 
     def add_platform(self, states: PlatformStates) -> None:
         """New platform states; only the mean covariance per time bin is kept."""
@@ -135,11 +137,11 @@ class VolumeEstimator:
         """
         return self._newest_bin > self._navigation.newest
 
-    def estimate(self, naive: bool = True) -> Estimate:
+    def estimate(self, naive: bool = True, ask_all: bool = True) -> Estimate:
         """The volume from everything so far: :meth:`survey`, :meth:`base` and :meth:`volume`, whose
         errors it raises.
         """
-        return self.volume(self.base(self.survey()), naive)
+        return self.volume(self.base(self.survey()), naive, ask_all)
 
     def survey(self) -> SurveyedSurface:
         """Surface: the TIN of the filtered points, with its error sources. Raises
@@ -160,16 +162,21 @@ class VolumeEstimator:
         survey, footing = bridged_footing(found.survey, found.footing, self.parameters)
         return SurveyOnBase(survey, footing, found.objects)
 
-    def volume(self, on_base: SurveyOnBase, naive: bool = True) -> Estimate:
+    def volume(self, on_base: SurveyOnBase, naive: bool = True, ask_all: bool = True) -> Estimate:
         """Volume: prismoids between surface and base, the budget of each body, and its verdict.
-        Without ``naive``, which is printed beside it in results, that sigma is NaN.
+        Without ``naive``, which is printed beside it in results, that sigma is NaN. Without
+        ``ask_all`` what the slow checks of passes, base and completeness found before counts, as
+        long as the bodies are still the same.
         """
         survey, footing, objects = on_base
+        found = self._findings
+        if ask_all or found is None or not found.suit(survey.tin, footing.parts):
+            found = self._findings = Findings(survey.tin, footing.parts)
         bodies, passes = run_concurrently(
             lambda: [
                 measure_body(survey, footing, p, self.parameters, naive) for p in footing.parts
             ],
-            lambda: passes_of(survey, footing, self.parameters),
+            lambda: found.of_survey("passes", lambda: passes_of(survey, footing, self.parameters)),
         )
         self._main = survey, footing, bodies[0]
         volumes = tuple(
@@ -182,9 +189,11 @@ class VolumeEstimator:
         check = self.parameters.volume.budget_check
         larger = np.sqrt([variance_ratio(v, passes.agreement, check) for v in volumes])
         volumes = tuple(
-            assess_field(survey, footing, body, volume, passes, self.parameters, own)
-            for body, volume, own in zip(
-                bodies, volumes, objects_by_body(objects, volumes), strict=True
+            assess_field(
+                survey, footing, body, volume, passes, self.parameters, found.of_body(k), own
+            )
+            for k, (body, volume, own) in enumerate(
+                zip(bodies, volumes, objects_by_body(objects, volumes), strict=True)
             )
         )
         volumes = with_choice(volumes, self.parameters.tin, self._usual_volumes)

@@ -41,6 +41,7 @@ from ladar_volume.volume.field_checks.base_readings import (
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
+from ladar_volume.volume.field_checks.findings import Ask
 from ladar_volume.volume.field_checks.gaps import (
     bridged_volume,
     bridging_triangles,
@@ -143,13 +144,15 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
 
 
 def with_null_volumes(
-    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, volume: Volume
+    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, volume: Volume, ask: Ask
 ) -> Volume:
     """The volume of a body with the line of its base as wide as null volumes around it spread."""
     own = volume.budget_m6.get("base_surface", 0.0)
-    if body.rough is None or not own > 0.0:
+    rough = body.rough
+    if rough is None or not own > 0.0:
         return volume
-    found = null_volumes(survey.tin, footing.base, body.part, survey.height_variance, body.rough)
+    tin, base, part, noise = survey.tin, footing.base, body.part, survey.height_variance
+    found = ask("null volumes", lambda: null_volumes(tin, base, part, noise, rough))
     doubts = Verdict(tuple(null_volume_doubts(found, volume.area_m2, math.sqrt(own))))
     volume = dataclasses.replace(volume, verdict=volume.verdict + doubts)
     return with_line(volume, "base_surface", (found.scale - 1.0) * own)
@@ -161,16 +164,18 @@ def with_base(
     body: MeasuredBody,
     volume: Volume,
     parameters: Parameters,
+    ask: Ask,
 ) -> Volume:
     """The volume of a body with what null volumes and other readings of its base say."""
-    part, radius_m = body.part, parameters.filter.radius_m
-    volume = with_null_volumes(survey, footing, body, volume)
-    found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
-    if not len(footing.base.support):
-        free = parameters.volume.outline == "auto"
-        told = given_base_doubts(survey.tin, footing.base, part, radius_m, volume, free)
+    tin, base, part, radius_m = survey.tin, footing.base, body.part, parameters.filter.radius_m
+    volume = with_null_volumes(survey, footing, body, volume, ask)
+    if not len(base.support):
+        free, before = parameters.volume.outline == "auto", volume
+        told = ask("given base", lambda: given_base_doubts(tin, base, part, radius_m, before, free))
         doubts = Verdict(tuple(told))
         return dataclasses.replace(volume, verdict=volume.verdict + doubts)
+    noise = survey.height_variance
+    found = ask("base readings", lambda: base_readings(tin, base, part, noise, radius_m))
     if found is None:
         return volume
     told = base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base)
@@ -395,20 +400,28 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     return PassAgreement(agreement, cover, body_cover, change)
 
 
-def with_change(
-    survey: SurveyedSurface, part: F64, volume: Volume, found: SurfaceChange | None
-) -> Volume:
-    """The volume of a body, part (m,) m² of each triangle, with what changed on it on the way."""
+def change_of(
+    survey: SurveyedSurface, part: F64, found: SurfaceChange | None
+) -> tuple[float, Doubt | None]:
+    """What changed of a body on the way, m³, and what to say of it; part (m,) m² of each
+    triangle.
+    """
     if found is None:
-        return volume
+        return 0.0, None
     rows = survey.sources.geometry.row[survey.tin.source[vertex_mask(survey.tin, part > 0.0)]]
     own = np.isin(found.row, rows)
     more = float((found.area_m2 * found.by_m)[own].sum())
-    if more > CHANGED * volume.sigma_m3:
-        start_ns = int(survey.patches.nav_bin.min()) * survey.sources.navigation.bin_ns
-        doubt = change_doubt(found, own, survey.patches.centre[found.row], start_ns)
+    if not more > 0.0:
+        return 0.0, None
+    start_ns = int(survey.patches.nav_bin.min()) * survey.sources.navigation.bin_ns
+    return more, change_doubt(found, own, survey.patches.centre[found.row], start_ns)
+
+
+def with_change(volume: Volume, more_m3: float, doubt: Doubt | None) -> Volume:
+    """The volume of a body with what changed on it on the way."""
+    if doubt is not None and more_m3 > CHANGED * volume.sigma_m3:
         volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
-    return with_line(volume, "changed", more**2)
+    return with_line(volume, "changed", more_m3**2)
 
 
 def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) -> Volume:
@@ -456,6 +469,22 @@ def with_objects(volume: Volume, objects: tuple[StandingObject, ...]) -> Volume:
     return dataclasses.replace(volume, objects=objects, verdict=volume.verdict + doubts)
 
 
+def edges_of(
+    survey: SurveyedSurface,
+    footing: Footing,
+    on_face: Bool,
+    volume_m3: float,
+    sigma_m3: float,
+    parameters: Parameters,
+) -> list[Doubt]:
+    """Where a body ends, or goes on unseen. on_face : (n,) vertices on steep faces."""
+    tin, base = survey.tin, footing.base
+    doubts = completeness_doubts(tin, base, footing.inside, on_face, sigma_m3, parameters)
+    if parameters.volume.outline == "all":
+        doubts += notch_doubts(tin, base, volume_m3, sigma_m3)
+    return doubts
+
+
 def assess_field(
     survey: SurveyedSurface,
     footing: Footing,
@@ -463,18 +492,19 @@ def assess_field(
     volume: Volume,
     passes: PassAgreement,
     parameters: Parameters,
+    ask: Ask,
     objects: tuple[StandingObject, ...] = (),
 ) -> Volume:
-    """A body's volume with every line and doubt of the field. objects : that were taken out of the
-    surface.
+    """A body's volume with every line and doubt of the field. ask : for what slow checks find ·
+    objects : that were taken out of the surface.
     """
     part = body.part
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(survey, footing, part, volume, passes, parameters.volume)
-    volume = with_change(survey, part, volume, passes.change)
+    volume = with_change(volume, *ask("change", lambda: change_of(survey, part, passes.change)))
     volume = with_gaps(survey, footing, part, volume)
-    volume = with_base(survey, footing, body, volume, parameters)
+    volume = with_base(survey, footing, body, volume, parameters, ask)
     tin = survey.tin
     normal = survey.points.normal[tin.source]
     on_face = steep(normal)
@@ -482,11 +512,13 @@ def assess_field(
     # a cut or a further body may be what makes the readings of the base differ
     chosen_m6 = volume.budget_m6.get("base_model", 0.0)
     sigma = math.sqrt(max(volume.sigma_m3**2 - chosen_m6, 0.0))
-    doubts = completeness_doubts(tin, footing.base, footing.inside, on_face, sigma, parameters)
-    if parameters.volume.outline == "all":
-        doubts += notch_doubts(tin, footing.base, volume.volume_m3, sigma)
+    net_m3 = volume.volume_m3
+    doubts = ask(
+        "completeness",
+        lambda: edges_of(survey, footing, on_face, net_m3, sigma, parameters),
+    )
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
     if any(doubt.name == "cut" for doubt in doubts):
-        missing = cut_m6(tin, footing.base, part, normal, volume.volume_m3, parameters)
+        missing = ask("cut", lambda: cut_m6(tin, footing.base, part, normal, net_m3, parameters))
         volume = with_line(volume, "cut", missing)
     return with_faces(tin, part, on_face, volume, parameters.volume.kind)

@@ -1,0 +1,66 @@
+"""What slow checks found, kept for the estimates that follow: while a survey grows, its passes and
+its base need not be asked after every update.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from ladar_volume.model.records import F64, Tin
+
+T = TypeVar("T")
+#: By what share of its area a body may have grown, and of its width have moved, and be the same.
+SAME = 0.1
+
+
+class Ask(Protocol):
+    """What a check found: as it was kept under its name, or as it finds now."""
+
+    def __call__(self, name: str, check: Callable[[], T], /) -> T: ...
+
+
+class Findings:
+    """What the checks of the bodies found: part (k,) of (m,) m² of each triangle of the TIN. It is
+    kept from the first time that it is asked for.
+    """
+
+    def __init__(self, tin: Tin, parts: Sequence[F64]) -> None:
+        self._bodies = [area_and_centre(tin, part) for part in parts]
+        self._found: dict[tuple[int, str], Any] = {}
+
+    def suit(self, tin: Tin, parts: Sequence[F64]) -> bool:
+        """Whether these are still the same bodies."""
+        now = [area_and_centre(tin, part) for part in parts]
+        return len(now) == len(self._bodies) and all(
+            abs(area - before) <= SAME * before
+            and math.dist(centre, middle) <= SAME * math.sqrt(before)
+            for (area, centre), (before, middle) in zip(now, self._bodies, strict=True)
+        )
+
+    def of_body(self, number: int) -> Ask:
+        """What to ask for the findings on one body."""
+        return partial(self._ask, number)
+
+    def of_survey(self, name: str, check: Callable[[], T]) -> T:
+        """What a check of the whole survey found."""
+        return self._ask(-1, name, check)
+
+    def _ask(self, number: int, name: str, check: Callable[[], T]) -> T:
+        key = (number, name)
+        if key not in self._found:
+            self._found[key] = check()
+        found: T = self._found[key]
+        return found
+
+
+def area_and_centre(tin: Tin, part: F64) -> tuple[float, tuple[float, float]]:
+    """Area, m², of a body of which part (m,) m² of each triangle counts, and its centre in plan."""
+    rows = np.flatnonzero(part > 0.0)
+    weight, area = part[rows], float(part[rows].sum())
+    x, y = weight @ tin.vertices[tin.triangles[rows], :2].mean(axis=1) / max(area, 1e-300)
+    return area, (float(x), float(y))
