@@ -320,7 +320,7 @@ class NodeParameters:
     )
     check_period_s: float = param(
         2.0,
-        "How often passes, base and edges of the bodies are asked anew on the way, at most; "
+        "How often passes, ground and edges of the bodies are asked anew on the way, at most; "
         "between, what was found last counts. The last volume, and one asked for, ask them all.",
         unit="s",
         low=0.0,

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from ladar_volume.model.records import (
     Plane,
     PlatformStates,
     StandingObject,
+    Tin,
     Volume,
 )
 from ladar_volume.tin.represent import RepresentedSurface
@@ -165,16 +167,16 @@ class VolumeEstimator:
     def volume(self, on_base: SurveyOnBase, naive: bool = True, ask_all: bool = True) -> Estimate:
         """Volume: prismoids between surface and base, the budget of each body, and its verdict.
         Without ``naive``, which is printed beside it in results, that sigma is NaN. Without
-        ``ask_all`` what the slow checks of passes, base and completeness found before counts, as
+        ``ask_all`` what the slow checks of passes, ground and edges found before counts, as
         long as the bodies are still the same.
         """
         survey, footing, objects = on_base
-        found = self._findings
-        if ask_all or found is None or not found.suit(survey.tin, footing.parts):
-            found = self._findings = Findings(survey.tin, footing.parts)
+        found = self._findings_on(survey.tin, footing.parts, ask_all)
+        keep = partial(found.of_survey, "roughness")
         bodies, passes = run_concurrently(
             lambda: [
-                measure_body(survey, footing, p, self.parameters, naive) for p in footing.parts
+                measure_body(survey, footing, p, self.parameters, naive, keep)
+                for p in footing.parts
             ],
             lambda: found.of_survey("passes", lambda: passes_of(survey, footing, self.parameters)),
         )
@@ -184,7 +186,7 @@ class VolumeEstimator:
         )
         joint = joint_covariance(
             [v.sigma_m3**2 for v in volumes],
-            lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
+            lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters, keep) ** 2,
         )
         check = self.parameters.volume.budget_check
         larger = np.sqrt([variance_ratio(v, passes.agreement, check) for v in volumes])
@@ -203,6 +205,13 @@ class VolumeEstimator:
             np.fill_diagonal(joint, [v.sigma_m3**2 for v in volumes])
         base, grounds = self._grounds(survey, footing, bodies[0])
         return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)
+
+    def _findings_on(self, tin: Tin, parts: Sequence[F64], ask_all: bool) -> Findings:
+        """What the slow checks found of these bodies before, or nothing yet."""
+        found = self._findings
+        if ask_all or found is None or not found.suit(tin, parts):
+            found = self._findings = Findings(tin, parts)
+        return found
 
     def _usual_volumes(self) -> tuple[Volume, ...]:
         """Of the surface with the usual vertices and diagonals."""

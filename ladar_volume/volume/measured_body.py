@@ -31,6 +31,7 @@ from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import Prismoids, prismoids
 from ladar_volume.volume.volume_loads import (
+    KeepRoughness,
     base_name,
     ground_field,
     near_correction,
@@ -113,24 +114,35 @@ def solid_of(tin: Tin, base: Plane, part: F64, parameters: Parameters) -> Prismo
 
 
 def measure_body(
-    survey: SurveyedSurface, footing: Footing, part: F64, parameters: Parameters, naive: bool
+    survey: SurveyedSurface,
+    footing: Footing,
+    part: F64,
+    parameters: Parameters,
+    naive: bool,
+    keep: KeepRoughness,
 ) -> MeasuredBody:
     """Volume and budget of the triangles that count (t,) m², and the correction near the base.
 
-    naive : also the sigma that all points independent would give.
+    naive : also the sigma that all points independent would give · keep : of the roughness of the
+    ground.
     """
     solid = solid_of(survey.tin, footing.base, part, parameters)
     near = partial(_near_base, survey, footing, part)
-    return _measure_budget(survey, footing, part, solid, naive, near)
+    return _measure_budget(survey, footing, part, solid, naive, near, keep)
 
 
 def joint_sigma(
-    survey: SurveyedSurface, footing: Footing, pair: tuple[int, int], parameters: Parameters
+    survey: SurveyedSurface,
+    footing: Footing,
+    pair: tuple[int, int],
+    parameters: Parameters,
+    keep: KeepRoughness,
 ) -> float:
     """Standard deviation m³ of the sum of two bodies, by number."""
     part = footing.parts[pair[0]] + footing.parts[pair[1]]
     solid = solid_of(survey.tin, footing.base, part, parameters)
-    return _measure_budget(survey, footing, part, solid, False, lambda: None).budget.sigma
+    measured = _measure_budget(survey, footing, part, solid, False, lambda: None, keep)
+    return measured.budget.sigma
 
 
 def volume_of(
@@ -194,7 +206,7 @@ def _near_base(survey: SurveyedSurface, footing: Footing, part: F64) -> Fold | N
 
 
 def _roughness(
-    survey: SurveyedSurface, footing: Footing, part: F64, solid: Prismoids
+    survey: SurveyedSurface, footing: Footing, part: F64, solid: Prismoids, keep: KeepRoughness
 ) -> tuple[float, Roughness | None]:
     """Variance m⁶ from the ground between its points, and its field."""
     field = ground_field(
@@ -205,6 +217,7 @@ def _roughness(
         survey.height_variance,
         survey.sources,
         footing.inverse,
+        keep,
     )
     return (0.0, None) if field is None else (field.variance_m6, field.rough)
 
@@ -216,6 +229,7 @@ def _measure_budget(
     solid: Prismoids,
     naive: bool,
     near: Callable[[], Fold | None],
+    keep: KeepRoughness,
 ) -> MeasuredBody:
     """The budget of a solid: the ground's roughness in one thread, sensitivities in another."""
     sources = survey.sources
@@ -227,7 +241,7 @@ def _measure_budget(
 
     held = gradients() if naive else None
     (base_m6, rough), (sensitivities, fold) = run_concurrently(
-        partial(_roughness, survey, footing, part, solid),
+        partial(_roughness, survey, footing, part, solid, keep),
         lambda: (sources.sensitivities(gradients() if held is None else held), near()),
     )
     # afterwards: it uses and completes what the roughness knows of the patches' errors

@@ -24,7 +24,7 @@ from ladar_volume.model.records import (
 from ladar_volume.tin.adjustment_adjoint import height_covariance
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.represent import RepresentedSurface
-from ladar_volume.uncertainty.ground_field import GroundField
+from ladar_volume.uncertainty.ground_field import GroundField, Roughness
 from ladar_volume.uncertainty.load_kernels import place_kernel
 from ladar_volume.uncertainty.propagation import SurfaceGeometry
 from ladar_volume.uncertainty.roughness import estimate_roughness
@@ -145,6 +145,14 @@ def shared_covariance_of(sources: Sources, points: I64) -> Callable[[I64], tuple
     return lambda some: sources.shared_covariance(points[some])
 
 
+KeepRoughness = Callable[[Callable[[], Roughness]], Roughness]
+
+
+def at_once(tell: Callable[[], Roughness]) -> Roughness:
+    """The roughness as it is told now."""
+    return tell()
+
+
 def ground_field(
     tin: Tin,
     base: Plane,
@@ -153,6 +161,7 @@ def ground_field(
     height_variance: F64,
     sources: Sources | None = None,
     inverse: F64 | None = None,
+    keep: KeepRoughness = at_once,
 ) -> GroundField | None:
     """How the deviation of the ground from the fitted base enters the volume; None above a design
     surface.
@@ -161,13 +170,13 @@ def ground_field(
     ground points. base_net (p,): derivatives of the net volume by the coefficients of the base.
     height_variance (n,) m²: independent noise of the vertices, which is not roughness; nor is what
     calibration and navigation did to the points of ``sources`` that the TIN was built from.
-    inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where known.
+    inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where known · keep : gives
+    what the roughness was told to be before, the same for all bodies on a ground.
     """
     if len(base.support) == 0:
         return None
     ground, residual, fit = ground_residuals(tin.vertices, base, base_net, inverse)
     shared = None if sources is None else shared_covariance_of(sources, tin.source[base.support])
-    rough = estimate_roughness(
-        ground, residual, height_variance[base.support], len(base.beta), shared
-    )
+    noise, fitted = height_variance[base.support], len(base.beta)
+    rough = keep(lambda: estimate_roughness(ground, residual, noise, fitted, shared))
     return GroundField(tin.vertices, tin.triangles, inside_m2, ground, fit, rough)
