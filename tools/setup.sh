@@ -81,7 +81,7 @@ rm -rf build ladar_volume.egg-info
 echo "Compiling the kernels (a few minutes)"
 compiling=()
 # stages that share kernels one after the other
-for stages in "volume epochs georeference" "filter cloud_volumes" clouds; do
+for stages in "volume epochs georeference cloud_volumes" clouds filter; do
     # shellcheck disable=SC2086
     .venv/bin/python -m ladar_volume.compile_kernels $stages &
     compiling+=($!)
