@@ -167,8 +167,7 @@ class VolumeEstimator:
     def volume(self, on_base: SurveyOnBase, naive: bool = True, ask_all: bool = True) -> Estimate:
         """Volume: prismoids between surface and base, the budget of each body, and its verdict.
         Without ``naive``, which is printed beside it in results, that sigma is NaN. Without
-        ``ask_all`` what the slow checks of passes, ground and edges found before counts, as
-        long as the bodies are still the same.
+        ``ask_all`` what the slow checks found before counts, while the bodies are the same.
         """
         survey, footing, objects = on_base
         found = self._findings_on(survey.tin, footing.parts, ask_all)
