@@ -22,7 +22,18 @@ from ladar_volume.nodes.convert import platform_messages, table_message
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
+from ladar_volume.volume.estimator import VolumeEstimator
 
+asked, estimate = [], VolumeEstimator.estimate
+
+
+def recorded(stage, naive=True, ask_all=True):
+    if stage is getattr(node, "stage", None):
+        asked.append(ask_all)
+    return estimate(stage, naive, ask_all)
+
+
+VolumeEstimator.estimate = recorded
 rclpy.init(args=[])
 settings = {
     "filter.nav_bin_s": 1.0,
@@ -31,6 +42,7 @@ settings = {
     "volume.outline": "all",
     "node.output_folder": sys.argv[1],
     "node.map_period_s": 0.1,
+    "node.check_period_s": 600.0,
     "node.diagnostics_period_s": 0.2,
 }
 node = VolumeNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
@@ -92,18 +104,27 @@ for m in platform_messages(platform(rate=2), None, ("map", "base_link")):
 time.sleep(0.5)
 send(surface_update(flat), 0)
 until(lambda: tables)
-first, before = tables[-1], call("compute")
-kept = call("start_epoch")
+first, on_the_way = tables[-1], list(asked)
+before, kept = call("compute"), call("start_epoch")
+when_asked, _ = asked[len(on_the_way) :], asked.clear()
 send(surface_update(lambda x, y: flat(x, y) - cone(x, y)), BIN_NS)
 until(lambda: len(tables[-1]["volume"]) == 2)
+between = list(asked)
 after, saved = call("compute"), call("save")
 until(lambda: "epoch_z" in lines and "more_data_1" in lines)
 node.stage.more_data = lambda: [][0]
 failed = call("compute")
 del node.stage.more_data
 again = call("compute")
+asked.clear()
+send(surface_update(lambda x, y: flat(x, y) - cone(x, y)), 2 * BIN_NS)
+until(lambda: asked)
+with node._lock:
+    last = list(asked)
 for s in spinners:
     s.close()
+for _ in range(2):
+    node.finish()
 rclpy.try_shutdown()
 print(
     json.dumps(
@@ -121,6 +142,7 @@ print(
             "failed": failed,
             "again": again["volume_m3"],
             "columns": sorted(more[-1]),
+            "checks": [on_the_way, when_asked, between, last, asked[len(last) :]],
         }
     )
 )
@@ -147,6 +169,14 @@ def test_the_change_since_the_epoch_is_a_row_of_the_volumes(seen):
         found["after"]["budget_m6"]["lever_laser"] < 1.0
     )  # shared: above a level it is (1.1 m³)² for either surface
     assert float(found["lines"]["epoch_z"]) == pytest.approx(found["after"]["z"], abs=0.01)
+
+
+def test_slow_checks_are_asked_at_first_and_by_who_asks_and_at_the_end(seen):
+    on_the_way, when_asked, between, last, end = seen[1]["checks"]
+    assert on_the_way[0] and not any(on_the_way[1:])
+    assert len(when_asked) == 2 and all(when_asked)
+    assert between and not any(between) and last and not any(last)
+    assert end == [True]  # and not once more where nothing came since
 
 
 def test_where_more_data_helps_is_published(seen):
