@@ -15,7 +15,7 @@ from ladar_volume.model.records import F64, Tin
 
 T = TypeVar("T")
 #: By what share of its area a body may have grown, and of its width have moved, and be the same.
-SAME = 0.1
+SAME = 0.03
 
 
 class Ask(Protocol):
