@@ -320,8 +320,8 @@ class NodeParameters:
     )
     check_period_s: float = param(
         2.0,
-        "How often passes, ground and edges of the bodies are asked anew on the way, at most; "
-        "between, what was found last counts. The last volume, and one asked for, ask them all.",
+        "How often, at most, a live survey checks passes, ground and the edges of its bodies anew; "
+        "until then the last findings count. The last volume, and one asked for, is checked whole.",
         unit="s",
         low=0.0,
         high=600,

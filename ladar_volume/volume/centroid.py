@@ -21,6 +21,15 @@ def centroid(tin: Tin, base: Plane, inside_m2: F64) -> tuple[float, float, float
     return float(x), float(y), float(z)
 
 
+def plan_centre(tin: Tin, triangles: I32, weight: F64) -> tuple[float, float]:
+    """Mean x and y, m, of triangles (k, 3) of the TIN by their weights (k,); NaN where these sum to
+    nothing.
+    """
+    middle = tin.vertices[triangles, :2].mean(axis=1)
+    x, y = weight @ middle / weight.sum()
+    return float(x), float(y)
+
+
 @kernel
 def moment_kernel(vertices: F64, triangles: I32, inside_m2: F64, low: F64) -> F64:
     """See :func:`centroid`; low : (n,) height of the base under each vertex."""

@@ -123,8 +123,8 @@ def measure_body(
 ) -> MeasuredBody:
     """Volume and budget of the triangles that count (t,) m², and the correction near the base.
 
-    naive : also the sigma that all points independent would give · keep : of the roughness of the
-    ground.
+    naive : also the sigma that all points independent would give · keep : see
+    :func:`~ladar_volume.volume.volume_loads.ground_field`.
     """
     solid = solid_of(survey.tin, footing.base, part, parameters)
     near = partial(_near_base, survey, footing, part)

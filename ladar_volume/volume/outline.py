@@ -13,6 +13,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
+from ladar_volume.volume.centroid import plan_centre
 
 
 def components(tin: Tin, mask: Bool) -> I64:
@@ -58,7 +59,7 @@ def pit_words(tin: Tin, height: F64, depth_m: float) -> str:
         return ""
     t = tin.triangles[falling]
     area = footprint_areas(tin.vertices, t)
-    x, y = area @ tin.vertices[t, :2].mean(axis=1) / area.sum()
+    x, y = plan_centre(tin, t, area)
     return (
         f"; a pit of {area.sum():.3g} m² is up to {-float(height[t].min()):.3g} m deep about "
         f"({x:.1f}, {y:.1f}) m: the outline 'all' takes it for fill, volume.polygon_m draws around "

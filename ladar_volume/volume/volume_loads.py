@@ -145,11 +145,12 @@ def shared_covariance_of(sources: Sources, points: I64) -> Callable[[I64], tuple
     return lambda some: sources.shared_covariance(points[some])
 
 
+#: Gives the roughness that is kept; where there is none yet, that of the function, and keeps it.
 KeepRoughness = Callable[[Callable[[], Roughness]], Roughness]
 
 
 def at_once(tell: Callable[[], Roughness]) -> Roughness:
-    """The roughness as it is told now."""
+    """The roughness as it is now; nothing is kept."""
     return tell()
 
 
@@ -170,8 +171,8 @@ def ground_field(
     ground points. base_net (p,): derivatives of the net volume by the coefficients of the base.
     height_variance (n,) m²: independent noise of the vertices, which is not roughness; nor is what
     calibration and navigation did to the points of ``sources`` that the TIN was built from.
-    inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where known · keep : gives
-    what the roughness was told to be before, the same for all bodies on a ground.
+    inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where known · keep : the
+    roughness is the same for all bodies on a ground, and need not be estimated for each.
     """
     if len(base.support) == 0:
         return None

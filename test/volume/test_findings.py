@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cone_pile import estimator_of, pile, update_of
 
+from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume import estimator as stage
 from ladar_volume.volume.field_checks import field_verdict
 from ladar_volume.volume.field_checks.findings import Findings, area_and_centre
@@ -73,9 +74,7 @@ def test_bodies_are_the_same_while_they_hardly_grow_or_move():
     centre = tin.vertices[tin.triangles, :2].mean(axis=1)
 
     def disc(radius, at=(0.0, 0.0)):
-        corner = tin.vertices[tin.triangles, :2]
-        u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        area = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+        area = footprint_areas(tin.vertices, tin.triangles)
         return np.where(np.hypot(*(centre - at).T) < radius, area, 0.0)
 
     area, middle = area_and_centre(tin, disc(4.0))

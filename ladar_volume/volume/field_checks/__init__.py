@@ -3,5 +3,5 @@ that is no plane, passes that disagree. Each ends in a line of the budget or in 
 
 ``gaps`` finds and bridges what was not seen inside the outline, ``completeness`` looks at the edges
 of a body, ``base_readings`` at its ground, ``pass_agreement`` at the residuals of the patches.
-``field_verdict`` puts them together.
+``field_verdict`` puts them together; ``findings`` keeps what the slow ones found.
 """

@@ -495,8 +495,8 @@ def assess_field(
     ask: Ask,
     objects: tuple[StandingObject, ...] = (),
 ) -> Volume:
-    """A body's volume with every line and doubt of the field. ask : for what slow checks find ·
-    objects : that were taken out of the surface.
+    """A body's volume with every line and doubt of the field. ask : makes the slow checks, or
+    gives what they found before · objects : that were taken out of the surface.
     """
     part = body.part
     volume = with_surface(survey, volume)

@@ -1,5 +1,5 @@
-"""What slow checks found, kept for the estimates that follow: while a survey grows, its passes and
-its base need not be asked after every update.
+"""What slow checks found, kept for the estimates that follow: while a survey grows, its passes, its
+ground and the edges of its bodies need not be checked after every update.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from ladar_volume.model.records import F64, Tin
+from ladar_volume.volume.centroid import plan_centre
 
 T = TypeVar("T")
 #: By what share of its area a body may have grown, and of its width have moved, and be the same.
@@ -19,14 +20,14 @@ SAME = 0.03
 
 
 class Ask(Protocol):
-    """What a check found: as it was kept under its name, or as it finds now."""
+    """Gives what the check of this name found before; where it was not made yet, makes it."""
 
     def __call__(self, name: str, check: Callable[[], T], /) -> T: ...
 
 
 class Findings:
-    """What the checks of the bodies found: part (k,) of (m,) m² of each triangle of the TIN. It is
-    kept from the first time that it is asked for.
+    """What checks found of a survey and of its bodies. Each check is made once, when it is first
+    asked for. parts : for each body the area (m,) m² of each triangle of the TIN that is its
     """
 
     def __init__(self, tin: Tin, parts: Sequence[F64]) -> None:
@@ -34,7 +35,7 @@ class Findings:
         self._found: dict[tuple[int, str], Any] = {}
 
     def suit(self, tin: Tin, parts: Sequence[F64]) -> bool:
-        """Whether these are still the same bodies."""
+        """Whether these are the same bodies: as many, and each about as large and where it was."""
         now = [area_and_centre(tin, part) for part in parts]
         return len(now) == len(self._bodies) and all(
             abs(area - before) <= SAME * before
@@ -43,11 +44,11 @@ class Findings:
         )
 
     def of_body(self, number: int) -> Ask:
-        """What to ask for the findings on one body."""
+        """The checks of one body."""
         return partial(self._ask, number)
 
     def of_survey(self, name: str, check: Callable[[], T]) -> T:
-        """What a check of the whole survey found."""
+        """What the check of this name found of the whole survey."""
         return self._ask(-1, name, check)
 
     def _ask(self, number: int, name: str, check: Callable[[], T]) -> T:
@@ -61,6 +62,5 @@ class Findings:
 def area_and_centre(tin: Tin, part: F64) -> tuple[float, tuple[float, float]]:
     """Area, m², of a body of which part (m,) m² of each triangle counts, and its centre in plan."""
     rows = np.flatnonzero(part > 0.0)
-    weight, area = part[rows], float(part[rows].sum())
-    x, y = weight @ tin.vertices[tin.triangles[rows], :2].mean(axis=1) / max(area, 1e-300)
-    return area, (float(x), float(y))
+    weight = part[rows]
+    return float(weight.sum()), plan_centre(tin, tin.triangles[rows], weight)

@@ -19,6 +19,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.volume.centroid import plan_centre
 from ladar_volume.volume.field_checks.standing_objects import STEP_M
 
 #: Upward component of the normal of triangles on a steep face (50°).
@@ -78,7 +79,7 @@ def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:
     unsure = inside_m2[rows[counts]] * rise
     # rise · flat / upright is a triangle's extent along its fall
     apart = float((flat * rise).sum() / upright.sum())
-    x, y = np.average(tin.vertices[t, :2].mean(axis=1), axis=0, weights=upright).tolist()
+    x, y = plan_centre(tin, t, upright)
     sigma = math.sqrt(((ALIKE * unsure.sum()) ** 2 + (unsure**2).sum()) / 12.0)
     return SteepFaces(sigma, apart, x, y)
 
