@@ -3,6 +3,7 @@ that need a kernel at the same time both compile it, which takes longer than the
 tests that start nodes: they share two cores and the loopback.
 """
 
+import gc
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     either process.
     """
     items.sort(key=lambda item: item.path.relative_to(HERE).parts[0] not in GROUP)
+
+
+def pytest_collection_finish() -> None:
+    """The objects of thousands of tests stay to the end: no collection need look at them again."""
+    from ladar_volume.compile_kernels import OBJECTS_BETWEEN_COLLECTIONS
+
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
 
 
 @pytest.hookimpl(optionalhook=True)
