@@ -100,7 +100,7 @@ def draw_mesh(mesh: LocalMesh, on_ground: Bool, title: str, ax: Axes) -> None:
     at = p @ view.T
     order = np.argsort(at[:, :, 2].mean(axis=1))
     ax.add_collection(
-        PolyCollection(list(at[order][:, :, :2]), facecolors=colour[order], edgecolors="none")
+        PolyCollection(at[order][:, :, :2], facecolors=colour[order], edgecolors="none")
     )
     ax.autoscale_view()
     ax.set_title(f"{title}: {len(t):,} triangles")

@@ -96,10 +96,10 @@ def _map(ax: Axes, change: ChangeMap, values: F64, colours: Colours) -> None:
     corners = change.tin.vertices[change.tin.triangles[change.tin.relevant], :2]
     unknown = ~np.isfinite(values)
     ax.add_collection(
-        PolyCollection(list(corners[unknown]), facecolors=GREY, edgecolors=GREY, linewidths=0.2)
+        PolyCollection(corners[unknown], facecolors=GREY, edgecolors=GREY, linewidths=0.2)
     )
     faces = PolyCollection(
-        list(corners[~unknown]),
+        corners[~unknown],
         array=values[~unknown],
         cmap=colours.name,
         clim=colours.limits,

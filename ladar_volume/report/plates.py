@@ -92,12 +92,11 @@ def svg(name: str, draw: Callable[[Axes], None], width_in: float, height_in: flo
 
 def faces(ax: Axes, scene: Scene, colours: F64 | None = None, **more: Any) -> PolyCollection:
     """The triangles that count from above; ``more`` as of PolyCollection."""
-    given: dict[str, Any] = (
-        {} if colours is None else {"facecolors": colours, "edgecolors": colours}
-    )
+    given: dict[str, Any] = {} if colours is None else {"facecolors": colours}
+    # whole pixels and no strokes: as triangles meet, no gap shows, in a third of the time
     out = PolyCollection(
-        list(scene.corners()),
-        **{"linewidths": 0.3, "edgecolors": "face", "rasterized": True, **given, **more},
+        scene.corners(),
+        **{"linewidths": 0.0, "antialiaseds": False, "rasterized": True, **given, **more},
     )
     ax.add_collection(out)
     return out
@@ -187,7 +186,7 @@ def draw_residuals(ax: Axes, scene: Scene) -> None:
     mm = 1e3 * found.apart_m
     half = 0.55 * found.edge_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     squares = PolyCollection(
-        list(found.xy_m[:, None] + half),
+        found.xy_m[:, None] + half,
         array=mm,
         cmap="magma_r",
         clim=(0.0, max(float(np.percentile(mm, SPAN[1])), 1e-3)),

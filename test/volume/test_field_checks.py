@@ -182,8 +182,10 @@ def test_a_level_beside_the_ground_is_doubted_with_both_volumes(level, doubted):
     v = estimated(base="level", level_m=level, object_height_m=0.3).volume
     found = [d for d in v.verdict.doubts if d.name == "base_level"]
     assert bool(found) == doubted
+    assert (v.budget_m6.get("base_model", 0.0) > 0.0) == doubted
     if doubted:
         assert found[0].value == pytest.approx(-level, abs=0.01)
+        assert abs(v.volume_m3 - TRUE_M3) < 1.5 * v.sigma_m3
 
 
 def test_a_level_so_far_below_that_all_of_the_site_rises_above_it_is_doubted():

@@ -246,8 +246,8 @@ def given_base_doubts(
     words = (
         f"the ground along the toe lies {abs(off):.2g} m {'above' if off > 0.0 else 'below'} the "
         f"{volume.base}: {volume.volume_m3:.5g} m³ above that, some {volume.volume_m3 + more:.5g} "
-        "m³ above the ground; check datum, antenna height and lever arms, which lift all passes "
-        "alike, or set volume.base ground"
+        "m³ above the ground, and sigma spans both; check datum, antenna height and lever arms, "
+        "which lift all passes alike, or set volume.base ground"
     )
     return [Doubt("base_level", words, off)]
 

@@ -172,8 +172,9 @@ def with_base(
     if not len(base.support):
         free, before = parameters.volume.outline == "auto", volume
         told = ask("given base", lambda: given_base_doubts(tin, base, part, radius_m, before, free))
-        doubts = Verdict(tuple(told))
-        return dataclasses.replace(volume, verdict=volume.verdict + doubts)
+        volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(told)))
+        apart = sum((d.value or 0.0) * volume.area_m2 for d in told)
+        return with_line(volume, "base_model", apart**2)
     noise = survey.height_variance
     found = ask("base readings", lambda: base_readings(tin, base, part, noise, radius_m))
     if found is None:
