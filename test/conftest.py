@@ -11,6 +11,7 @@ import pytest
 
 from ladar_volume.process.switch import own_process
 
+gc.disable()  # to the end of the collection, see below
 own_process()  # before NumPy, which reads then how many threads it may use
 
 HERE = Path(__file__).parent
@@ -30,12 +31,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """The objects of thousands of tests stay to the end: no collection need look at them again."""
+    """The objects of thousands of tests stay to the end: no search for cycles need look at them."""
     from ladar_volume.compile_kernels import OBJECTS_BETWEEN_COLLECTIONS
 
-    gc.collect()
     gc.freeze()
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
+    gc.enable()
+
+
+def pytest_unconfigure() -> None:
+    """Libraries look at the end whether all of their objects are gone."""
+    gc.unfreeze()
 
 
 @pytest.hookimpl(optionalhook=True)
