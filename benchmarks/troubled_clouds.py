@@ -223,6 +223,12 @@ def lines(s: Site) -> F64:
     return s.points()
 
 
+def machine_on_lines(s: Site) -> F64:
+    """An excavator at the foot, seen along scan lines a metre apart."""
+    s.xy[:, 0] = np.round(s.xy[:, 0])
+    return machine(s)
+
+
 def steep_ground(s: Site) -> F64:
     """A hillside."""
     s.slope = np.add(s.slope, (0.25, 0.0))
@@ -336,6 +342,7 @@ KINDS: dict[str, Callable[[Site], F64]] = {
     "heavy tails": heavy,
     "thin top": thin_top,
     "scan lines": lines,
+    "machine on lines": machine_on_lines,
     "steep ground": steep_ground,
     "blurred": blurred,
     "apron": apron,

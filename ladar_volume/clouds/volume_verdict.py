@@ -291,12 +291,19 @@ def with_edge(
     return with_lines(volume, lines) if lines else volume
 
 
-def with_readings(volume: CloudVolume, readings: GroundReadings | None) -> CloudVolume:
-    """The volume with what the choice of its ground does to it."""
-    if readings is None or readings.others is None or math.isnan(volume.sigma_m3):
+def with_readings(
+    volume: CloudVolume, readings: GroundReadings | None, doubts: list[Doubt]
+) -> CloudVolume:
+    """The volume with what the choice of its ground does to it, and the unevenness of that where it
+    is doubted.
+    """
+    if readings is None or math.isnan(volume.sigma_m3):
         return volume
-    volume = dataclasses.replace(volume, freedom=readings.others.freedom)
-    chosen = readings.others.variance_m6
+    uneven = any(doubt.name == "base_uneven" for doubt in doubts)
+    chosen = readings.uneven_m3**2 if uneven else 0.0
+    if readings.others is not None:
+        volume = dataclasses.replace(volume, freedom=readings.others.freedom)
+        chosen = max(chosen, readings.others.variance_m6)
     return with_lines(volume, {"base_model": chosen}) if chosen > 0.0 else volume
 
 
@@ -323,7 +330,7 @@ def volume_with_verdict(
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found, by_body and base is not None)
     if base is None:
-        return with_readings(found, readings), Verdict(tuple(doubts))
+        return with_readings(found, readings, doubts), Verdict(tuple(doubts))
     if math.isnan(found.sigma_m3):
         return with_known_cover(found, tin, base, inside, v), Verdict(tuple(doubts))
     doubts += object_doubts(objects_within(surface, inside), found.sigma_m3)
@@ -337,7 +344,7 @@ def volume_with_verdict(
         doubts += notch_doubts(tin, base, found.cut_m3 + found.fill_m3, found.sigma_m3)
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     own = with_growth if readings is not None else with_layers
-    found, more = own(with_readings(found, readings), surface, base, inside, v)
+    found, more = own(with_readings(found, readings, doubts), surface, base, inside, v)
     found = with_known_cover(found, tin, base, inside, v)
     return found, Verdict((*doubts, *more))
 

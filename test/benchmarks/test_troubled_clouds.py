@@ -15,6 +15,7 @@ from benchmarks.troubled_clouds import answer
         ("hollow", {"base_bends"}),
         ("grass on one side", {"vegetation"}),
         ("machine", {"wall"}),
+        ("machine on lines", {"wall"}),
         ("pair: part", {"cut"}),
         ("pair: higher", {"offset"}),
         ("pair: machine", {"wall"}),

@@ -24,6 +24,8 @@ from ladar_volume.volume.field_checks.standing_objects import STEP_M
 
 #: Upward component of the normal of triangles on a steep face (50°).
 FACE = 0.64
+#: Slope of a steep side: loose material keeps less.
+SIDE = 1.0
 #: How far the true face of a wall may lie from where it is counted, one standard deviation, m: half
 #: of a usual wall.
 WALL_M = 0.25
@@ -85,13 +87,18 @@ def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:
 
 
 def faces_to_base(tin: Tin, base: Plane, inside: Bool, least_m: float) -> F64:
-    """Places (k, 2) on steep triangles inside (m,) that are higher than a step and come down to
-    within ``least_m`` of the base: faces that few or no returns lie on.
+    """Places (k, 2) on steep triangles inside (m,) that have a steep side higher than a step and
+    come down to within ``least_m`` of the base: faces that few or no returns lie on. Noise tilts a
+    triangle whose corners nearly lie on a line, as between scan lines, but no side that is high.
     """
     rows = np.flatnonzero(inside)
     area, flat = face_areas(tin, rows)
     height = height_above(tin.vertices, base)[tin.triangles[rows]]
-    high = (np.ptp(height, axis=1) > STEP_M) & (height.min(axis=1) < least_m)
+    side = tin.vertices[tin.triangles[rows]]
+    side -= np.roll(side, -1, axis=1)
+    rise = np.abs(side[..., 2])
+    steep_side = (rise > STEP_M) & (rise > SIDE * np.hypot(side[..., 0], side[..., 1]))
+    high = steep_side.any(axis=1) & (height.min(axis=1) < least_m)
     corners = tin.vertices[tin.triangles[rows[high & (flat < FACE * area)]], :2]
     sides = 0.5 * (corners + np.roll(corners, -1, axis=1))
     return np.asarray(np.concatenate([corners, sides]).reshape(-1, 2))
