@@ -42,7 +42,7 @@ from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 from ladar_volume.volume.field_checks.standing_objects import APART_M
-from ladar_volume.volume.field_checks.steep_faces import wall_m6
+from ladar_volume.volume.field_checks.steep_faces import wall_m6, walls_m6
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Fewest cells of ground that is named, and fewest triangles in each.
@@ -178,13 +178,23 @@ def with_pair_steps(
 
 
 def with_walls(
-    volume: CloudVolume, ground: PairGround, changed: Bool, things: list[StandingObject]
+    volume: CloudVolume,
+    ground: PairGround,
+    changed: Bool,
+    things: list[StandingObject],
+    doubted: bool,
 ) -> CloudVolume:
-    """The volume with what is left of things that were taken out in sigma: steep faces beside them,
-    and no more than what they were. changed : (m,) triangles of the difference
+    """The volume with what steep faces may hide or add in sigma: where they are doubted, and else
+    beside things that were taken out, no more than what these were. changed : (m,) triangles of the
+    difference
     """
     tin = ground.tin
-    rows = np.flatnonzero(changed & ground.on_face[tin.triangles].any(axis=1))
+    steep = changed & ground.on_face[tin.triangles].any(axis=1)
+    if doubted:
+        inside_m2 = np.where(changed, footprint_areas(tin.vertices, tin.triangles), 0.0)
+        wall = walls_m6(tin, inside_m2, ground.on_face, wall_m6(tin, steep, FACE_M))
+        return with_lines(volume, {"wall": wall})
+    rows = np.flatnonzero(steep)
     middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
     beside = np.zeros(len(rows), np.bool_)
     for one in things:
@@ -224,8 +234,9 @@ def pair_verdict(
     height = tin.vertices[tin.triangles, 2].mean(axis=1) - ground.unchanged.offset_m
     changed = within & (np.abs(height) > least)
     if changed.any():
-        doubts += wall_doubts(tin, ground.level, changed, ground.on_face, least)
-        volume = with_walls(volume, ground, changed, things)
+        walls = wall_doubts(tin, ground.level, changed, ground.on_face, least)
+        volume = with_walls(volume, ground, changed, things, len(walls) > 0)
+        doubts += walls
     sampled = [s.representation.sampled_area for s in surfaces]
     outline = outline_variance(tin, within, tin.vertices[:, 2], sampled)
     if outline > 0.0:

@@ -41,7 +41,7 @@ from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap
 from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.plant_cover import known_cover
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
-from ladar_volume.volume.field_checks.steep_faces import wall_m6
+from ladar_volume.volume.field_checks.steep_faces import wall_m6, walls_m6
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
@@ -385,8 +385,10 @@ def with_missing(
         faces = (inside > 0.0) & on_face[tin.triangles].any(axis=1)
         wall = wall_m6(tin, faces, STEP * parameters.volume.object_height_m)
         # no more of a thing can be left, or be missing, than what was taken out
-        most = math.inf if "wall" in doubted else doubted["object"] ** 2
-        lines["wall"] = min(wall, most)
+        if "wall" in doubted:
+            lines["wall"] = walls_m6(tin, inside, on_face, wall)
+        else:
+            lines["wall"] = min(wall, doubted["object"] ** 2)
     lines = {name: variance for name, variance in lines.items() if variance > 0.0}
     return with_lines(volume, lines) if lines else volume
 

@@ -59,6 +59,7 @@ from ladar_volume.volume.field_checks.steep_faces import (
     edge_doubts,
     steep_faces,
     wall_m6,
+    walls_m6,
 )
 from ladar_volume.volume.field_checks.surface_changes import (
     SurfaceChange,
@@ -431,7 +432,8 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     """
     doubted = {doubt.name: doubt.value or 0.0 for doubt in volume.verdict.doubts}
     if "wall" in doubted:
-        return with_line(volume, "wall", wall_m6(tin, part > 0.0))
+        wall = walls_m6(tin, part, on_face, wall_m6(tin, part > 0.0))
+        return with_line(volume, "wall", wall)
     if "object" in doubted:  # no more of it can be left, or be missing, than what was taken out
         volume = with_line(volume, "wall", min(wall_m6(tin, part > 0.0), doubted["object"] ** 2))
     found = steep_faces(tin, part, on_face)

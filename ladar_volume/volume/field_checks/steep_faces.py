@@ -15,17 +15,22 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.volume.centroid import plan_centre
-from ladar_volume.volume.field_checks.standing_objects import STEP_M
+from ladar_volume.volume.field_checks.standing_objects import MOST, STEP_M, parts, rise_above
+from ladar_volume.volume.polygon import areas_inside
 
 #: Upward component of the normal of triangles on a steep face (50°).
 FACE = 0.64
 #: Slope of a steep side: loose material keeps less.
 SIDE = 1.0
+#: What faces enclose: fewest vertices on them, their cells, how far apart they hang together, m.
+FEWEST, CELL_M, JOIN_M = 6, 0.25, 2.0
 #: How far the true face of a wall may lie from where it is counted, one standard deviation, m: half
 #: of a usual wall.
 WALL_M = 0.25
@@ -61,6 +66,43 @@ def wall_m6(tin: Tin, inside: Bool, wall_m: float = WALL_M) -> float:
     """
     area, flat = face_areas(tin, np.flatnonzero(inside))
     return float((wall_m * area[flat < FACE * area].sum()) ** 2)
+
+
+def enclosed_m3(tin: Tin, inside_m2: F64, on_face: Bool) -> float:
+    """Volume, m³, of what steep faces enclose in plan, above the surface around it: a machine or a
+    hut that may be counted, or none. inside_m2 (m,) m² of each triangle · on_face : (n,) vertices
+    on steep faces. Faces round most of the outline, as a bay's, enclose the body and no thing.
+    """
+    xy, inside = tin.vertices[:, :2], inside_m2 > 0.0
+    rows = np.flatnonzero(vertex_mask(tin, inside) & on_face)
+    if len(rows) < FEWEST:
+        return 0.0
+    # one of a cell is enough for a hull
+    rows = rows[np.unique(np.floor(xy[rows] / CELL_M), axis=0, return_index=True)[1]]
+    pairs = cKDTree(xy[rows]).query_pairs(JOIN_M, output_type="ndarray")
+    label, total = parts(len(rows), pairs[:, 0], pairs[:, 1]), 0.0
+    for number in range(int(label.max()) + 1):
+        try:
+            hull = ConvexHull(xy[rows[label == number]])
+        except (QhullError, ValueError):  # too few, or on a line: they enclose nothing
+            continue
+        area = np.minimum(areas_inside(tin, hull.points[hull.vertices]), inside_m2)
+        if not 0.0 < area.sum() <= MOST * inside_m2.sum():
+            continue
+        A = hull.equations
+        within = (xy @ A[:, :2].T + A[:, 2] <= 1e-9).all(axis=1)
+        rise = np.zeros(len(xy))
+        rise[within] = np.maximum(rise_above(tin.vertices[within], tin.vertices[~within]), 0.0)
+        total += float(area @ rise[tin.triangles].mean(axis=1))
+    return total
+
+
+def walls_m6(tin: Tin, inside_m2: F64, on_face: Bool, wall: float) -> float:
+    """Variance of the volume, m⁶, where steep faces are doubted: of the faces themselves, ``wall``,
+    and of what they enclose, which is counted and may be no part of it, all or nothing of it
+    (uniform: GUM 4.3.7).
+    """
+    return wall + enclosed_m3(tin, inside_m2, on_face) ** 2 / 3.0
 
 
 def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:
