@@ -184,17 +184,12 @@ def with_walls(
     things: list[StandingObject],
     doubted: bool,
 ) -> CloudVolume:
-    """The volume with what steep faces may hide or add in sigma: where they are doubted, and else
-    beside things that were taken out, no more than what these were. changed : (m,) triangles of the
-    difference
+    """The volume with what is left of things that were taken out in sigma: steep faces beside them,
+    and no more than what they were; and what faces enclose that are ``doubted``. changed : (m,)
+    triangles of the difference
     """
     tin = ground.tin
-    steep = changed & ground.on_face[tin.triangles].any(axis=1)
-    if doubted:
-        inside_m2 = np.where(changed, footprint_areas(tin.vertices, tin.triangles), 0.0)
-        wall = walls_m6(tin, inside_m2, ground.on_face, wall_m6(tin, steep, FACE_M))
-        return with_lines(volume, {"wall": wall})
-    rows = np.flatnonzero(steep)
+    rows = np.flatnonzero(changed & ground.on_face[tin.triangles].any(axis=1))
     middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
     beside = np.zeros(len(rows), np.bool_)
     for one in things:
@@ -203,6 +198,9 @@ def with_walls(
     faces = np.zeros(len(changed), np.bool_)
     faces[rows[beside]] = True
     wall = min(wall_m6(tin, faces, FACE_M), sum(one.volume_m3 for one in things) ** 2)
+    if doubted:
+        inside_m2 = np.where(changed, footprint_areas(tin.vertices, tin.triangles), 0.0)
+        wall = walls_m6(tin, inside_m2, ground.on_face, wall)
     return with_lines(volume, {"wall": wall}) if wall > 0.0 else volume
 
 
