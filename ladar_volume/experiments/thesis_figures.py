@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.published.filter_presets import preset
@@ -23,7 +22,7 @@ from ladar_volume.mesh.local_mesh import BOX, FOUNTAIN, SPHERE, LocalMesh, mesh_
 from ladar_volume.model.body_parameters import LocalMeshParameters
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I32, Bool
-from ladar_volume.report.plates import save_figure
+from ladar_volume.report.plates import polygons, save_figure
 
 #: From where clouds are seen: azimuth and elevation, radians; the light comes from the viewer.
 AZIMUTH_RAD, ELEVATION_RAD = float(np.radians(-55.0)), float(np.radians(30.0))
@@ -99,9 +98,7 @@ def draw_mesh(mesh: LocalMesh, on_ground: Bool, title: str, ax: Axes) -> None:
     colour = np.where(low, GROUND, BODY) * light[:, None]
     at = p @ view.T
     order = np.argsort(at[:, :, 2].mean(axis=1))
-    ax.add_collection(
-        PolyCollection(at[order][:, :, :2], facecolors=colour[order], edgecolors="none")
-    )
+    ax.add_collection(polygons(at[order][:, :, :2], facecolors=colour[order], edgecolors="none"))
     ax.autoscale_view()
     ax.set_title(f"{title}: {len(t):,} triangles")
     _finish(ax)

@@ -11,12 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from ladar_volume.change.change_detection import ChangeMap
 from ladar_volume.model.records import F64
-from ladar_volume.report.plates import save_figure
+from ladar_volume.report.plates import WHOLE_PIXELS, polygons, save_figure
 
 #: Colour of what does not exceed the level of detection, and lines of the budget that are shown.
 GREY, LINES = "0.85", 9
@@ -95,16 +94,13 @@ def _map(ax: Axes, change: ChangeMap, values: F64, colours: Colours) -> None:
     """The triangles from above in the colours of their values (t,); grey where there is none."""
     corners = change.tin.vertices[change.tin.triangles[change.tin.relevant], :2]
     unknown = ~np.isfinite(values)
-    ax.add_collection(
-        PolyCollection(corners[unknown], facecolors=GREY, edgecolors=GREY, linewidths=0.2)
-    )
-    faces = PolyCollection(
+    ax.add_collection(polygons(corners[unknown], facecolors=GREY, **WHOLE_PIXELS))
+    faces = polygons(
         corners[~unknown],
         array=values[~unknown],
         cmap=colours.name,
         clim=colours.limits,
-        edgecolors="face",
-        linewidths=0.2,
+        **WHOLE_PIXELS,
     )
     ax.add_collection(faces)
     ax.set(aspect="equal", xlabel="east / m", ylabel="north / m")
