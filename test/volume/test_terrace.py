@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import ladar_volume as lv
-from ladar_volume.volume.field_checks.terrace import terrace_height
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.volume.base import ZERO
+from ladar_volume.volume.field_checks.terrace import terrace_height, terrace_points
 
 CONE = math.pi * 6.0**3 * 0.65 / 3.0
 
@@ -57,3 +59,18 @@ def test_a_ledge_whose_edges_the_filter_rounded_is_found():
     assert terrace_height(height, area, 0.02) == pytest.approx(0.23, abs=0.03)
     runs_out = 4.0 * np.linspace(0.0, 1.0, 4001) ** 3
     assert terrace_height(runs_out, np.full(4001, 0.05), 0.02) == 0.0
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_triangles_over_what_was_not_seen_are_no_terrace(seed):
+    """No returns on a strip from a flank to the edge: what bridges it is much area about a height."""
+    rng = np.random.default_rng(seed)
+    side = np.arange(-12.0, 12.01, 0.25)
+    x, y = (c.ravel() + rng.uniform(-0.1, 0.1, c.size) for c in np.meshgrid(side, side))
+    z = np.maximum(4.0 - 0.5 * np.hypot(x, y), 0.0)
+    seen = (np.abs(y) > rng.uniform(1.5, 4.0)) | (x < rng.uniform(4.0, 7.2))
+    tin = build_tin(np.column_stack([x, y, z])[seen])
+    high = tin.vertices[tin.triangles, 2].max(axis=1) > 0.05
+    inside_m2 = np.where(high, footprint_areas(tin.vertices, tin.triangles), 0.0)
+    bridged, left = (terrace_points(tin, ZERO, inside_m2, 0.005, r) for r in (100.0, 0.5))
+    assert len(bridged) and not len(left)

@@ -167,7 +167,7 @@ def base_readings(
     own = moments[: COEFFICIENTS[min(degree, 1)]]
     toe = toe_points(tin, inside_m2 > 0.0, radius_m)
     spread = 1.4826 * float(np.median(np.abs(left)))
-    terrace = terrace_points(tin, base, inside_m2, spread)
+    terrace = terrace_points(tin, base, inside_m2, spread, radius_m)
     terrace = terrace[:: math.ceil(len(terrace) / MOST) or 1]
     for name, rows, moved in (
         ("the surface along the toe", toe, own),

@@ -20,12 +20,19 @@ HEIGHTS, HALF, LEAST_M = (0.05, 1.0), 2.0, 0.0125
 #: volume above it.
 TIMES, REACH, WIDE_M, ABOVE = 2.0, 4, 0.2, 0.15
 
+#: Triangles bridge what was not seen from so many times the usual longest side on.
+SPARSE = 4.0
 
-def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float) -> I64:
+
+def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float, radius_m: float) -> I64:
     """Vertices (k,) on a terrace within the outline, inside_m2 (m,) m² of each triangle; none where
-    there is none. spread_m : standard deviation of the ground about the base.
+    there is none. spread_m : standard deviation of the ground about the base · radius_m : of the
+    filter; wider triangles bridge what was not seen, and each is much area about one height.
     """
     rows = np.flatnonzero(inside_m2 > 0.0)
+    corner = tin.vertices[tin.triangles[rows], :2]
+    side = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=2).max(axis=1)
+    rows = rows[side <= max(radius_m, SPARSE * float(np.median(side)))]
     height, area = height_above(tin.vertices, base)[tin.triangles[rows]], inside_m2[rows]
     mean = height.mean(axis=1)
     half = HALF * max(spread_m, LEAST_M)
