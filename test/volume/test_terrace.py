@@ -63,7 +63,7 @@ def test_a_ledge_whose_edges_the_filter_rounded_is_found():
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_triangles_over_what_was_not_seen_are_no_terrace(seed):
-    """No returns on a strip from a flank to the edge: what bridges it is much area about a height."""
+    """No returns on a strip from a flank to the edge."""
     rng = np.random.default_rng(seed)
     side = np.arange(-12.0, 12.01, 0.25)
     x, y = (c.ravel() + rng.uniform(-0.1, 0.1, c.size) for c in np.meshgrid(side, side))
