@@ -22,14 +22,21 @@ from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.volume.centroid import plan_centre
-from ladar_volume.volume.field_checks.standing_objects import MOST, STEP_M, parts, rise_above
+from ladar_volume.volume.field_checks.standing_objects import (
+    AROUND_M,
+    MOST,
+    STEP_M,
+    parts,
+    rise_above,
+)
 from ladar_volume.volume.polygon import areas_inside
 
 #: Upward component of the normal of triangles on a steep face (50°).
 FACE = 0.64
 #: Slope of a steep side: loose material keeps less.
 SIDE = 1.0
-#: What faces enclose: fewest vertices on them, their cells, how far apart they hang together, m.
+#: What faces enclose: fewest cells with vertices on them, their width, how far apart they hang
+#: together, m.
 FEWEST, CELL_M, JOIN_M = 6, 0.25, 2.0
 #: How far the true face of a wall may lie from where it is counted, one standard deviation, m: half
 #: of a usual wall.
@@ -82,16 +89,21 @@ def enclosed_m3(tin: Tin, inside_m2: F64, on_face: Bool) -> float:
     pairs = cKDTree(xy[rows]).query_pairs(JOIN_M, output_type="ndarray")
     label, total = parts(len(rows), pairs[:, 0], pairs[:, 1]), 0.0
     for number in range(int(label.max()) + 1):
+        own = rows[label == number]
+        if len(own) < FEWEST:
+            continue
         try:
-            hull = ConvexHull(xy[rows[label == number]])
-        except (QhullError, ValueError):  # too few, or on a line: they enclose nothing
+            hull = ConvexHull(xy[own])
+        except QhullError:  # on a line: they enclose nothing
             continue
         area = np.minimum(areas_inside(tin, hull.points[hull.vertices]), inside_m2)
         if not 0.0 < area.sum() <= MOST * inside_m2.sum():
             continue
         A = hull.equations
-        within = (xy @ A[:, :2].T + A[:, 2] <= 1e-9).all(axis=1)
-        rise = rise_above(tin.vertices[within], tin.vertices[~within])
+        low, high = hull.min_bound - AROUND_M, hull.max_bound + AROUND_M
+        near = np.flatnonzero(((xy > low) & (xy < high)).all(axis=1))
+        within = (xy[near] @ A[:, :2].T + A[:, 2] <= 1e-9).all(axis=1)
+        rise = rise_above(tin.vertices[near[within]], tin.vertices[near[~within]])
         # the median: a face that two clouds see a little apart is a spike of their difference
         total += float(area.sum()) * max(float(np.median(rise)), 0.0)
     return total
