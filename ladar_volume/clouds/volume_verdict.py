@@ -26,7 +26,6 @@ from ladar_volume.clouds.sampling.layers import layer_doubts, two_layers
 from ladar_volume.clouds.sampling.objects_beside import beside_doubts, objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
-from ladar_volume.clouds.survey.flight_errors import vertex_slopes
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
@@ -376,11 +375,8 @@ def with_missing(
     lines, (inside, on_face) = dict[str, float](), counted
     doubted = {doubt.name: doubt.value or 0.0 for doubt in doubts}
     if "cut" in doubted:
-        slope = vertex_slopes(tin)
-        normal = np.column_stack([-slope, np.ones(len(slope))])
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
         size = abs(volume.cut_m3 - volume.fill_m3)
-        lines["cut"] = cut_m6(tin, base, inside, normal, size, parameters)
+        lines["cut"] = cut_m6(tin, base, inside, size, parameters)
     if "wall" in doubted or "object" in doubted:
         faces = (inside > 0.0) & on_face[tin.triangles].any(axis=1)
         wall = wall_m6(tin, faces, STEP * parameters.volume.object_height_m)

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import base_height, height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import boundary_sides, side_ends
-from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
 
 #: Least volume that a cut is likely to hide, in standard deviations of the volume.
@@ -22,9 +23,11 @@ AT_REGION_M = 1.5
 #: A sliver's long side, in usual edges; its width is below one. Layers of slivers that are peeled.
 LONG, PEELED = 3.0, 20
 #: Slopes (tangents) across a cut: towards it the surface rises from the first on, and falls off no
-#: more gently than the second. How often what was seen may be missing where it rises. Least upward
-#: component of a normal whose slope is asked.
-RISING, FLAT, RISES, STEEPEST = 0.1, 0.1, 2.0, 0.3
+#: more gently than the second. How often what was seen may be missing where it rises.
+RISING, FLAT, RISES = 0.1, 0.1, 2.0
+#: The slope is told over so many usual lengths of a side, and so many metres at least, from the
+#: mean of so many points.
+INWARD, INWARD_M, NEAREST = 4.0, 0.5, 4
 
 
 @dataclass(frozen=True)
@@ -90,32 +93,44 @@ def cut_sides(tin: Tin, base: Plane, inside: Bool, least_m: float) -> CutSides:
     return CutSides(t[high], ends[high], height[high], length)
 
 
-def missing_at_most(tin: Tin, sides: CutSides, normal: F64, body_m3: float) -> float:
+def slopes_across(tin: Tin, base: Plane, inside: Bool, sides: CutSides) -> F64:
+    """Slopes (k,) at which the surface rises outwards across each side on which it is cut, from
+    some sides' lengths within to the side: of the triangles at a ragged edge many are slivers.
+    """
+    ends = tin.vertices[sides.ends]
+    along = (ends[:, 1, :2] - ends[:, 0, :2]) / np.maximum(sides.length_m, 1e-9)[:, None]
+    across = np.column_stack([along[:, 1], -along[:, 0]])
+    within = tin.vertices[tin.triangles[sides.triangle], :2].mean(axis=1) - ends[:, 0, :2]
+    across *= np.where((across * within).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
+    own = tin.vertices[vertex_mask(tin, inside)]
+    height = np.abs(height_above(own, base))
+    middle = ends[:, :, :2].mean(axis=1)
+    far = max(INWARD * float(np.median(sides.length_m)), INWARD_M)
+    count = min(NEAREST, len(own))
+    near = cKDTree(own[:, :2]).query(middle - far * across, k=count)[1].reshape(-1, count)
+    inward = ((middle[:, None] - own[near, :2]) * across[:, None]).sum(axis=2).mean(axis=1)
+    rise: F64 = sides.height.mean(axis=1) - height[near].mean(axis=1)
+    return rise / np.maximum(inward, 0.5 * far)
+
+
+def missing_at_most(tin: Tin, base: Plane, inside: Bool, sides: CutSides, body_m3: float) -> float:
     """The most that a body of so many m³ is likely to have beyond the sides on which it is cut, m³.
 
     Where the surface falls off across the cut it goes on falling as steeply, down to the base: a
     heap falls off more steeply further out. What was seen of the body is the most that is allowed:
-    its summit was seen. Twice that where the surface rises towards the cut. normal : (n, 3) of the
-    vertices.
+    its summit was seen. Twice that where the surface rises towards the cut. inside : (m,) triangles
+    of the body
     """
-    (one, two), own = sides.ends.T, tin.triangles[sides.triangle]
-    along = tin.vertices[two, :2] - tin.vertices[one, :2]
-    across = np.column_stack([along[:, 1], -along[:, 0]])
-    within = tin.vertices[own, :2].mean(axis=1) - tin.vertices[one, :2]
-    across *= np.where((across * within).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
-    n = normal[one] + normal[two]
-    # of rise = −n_xy / n_z; the long sides count by their length already
-    rise = -(across * n[:, :2]).sum(axis=1) / np.maximum(np.abs(n[:, 2]), STEEPEST)
-    section = sides.section_m3
-    slope = float(section @ (rise / np.maximum(sides.length_m, 1e-9)) / section.sum())
+    section, slopes = sides.section_m3, slopes_across(tin, base, inside, sides)
+    order = np.argsort(slopes)
+    middle = int(np.searchsorted(np.cumsum(section[order]), 0.5 * float(section.sum())))
+    slope = float(slopes[order[min(middle, len(order) - 1)]])
     if slope > RISING:
         return RISES * body_m3
     return min(body_m3, 0.5 * float(section.sum()) / max(-slope, FLAT))
 
 
-def cut_m6(
-    tin: Tin, base: Plane, part: F64, normal: F64, volume_m3: float, parameters: Parameters
-) -> float:
+def cut_m6(tin: Tin, base: Plane, part: F64, volume_m3: float, parameters: Parameters) -> float:
     """Variance of a body, part (m,) m² of each triangle, for what a cut took of it: anything from
     nothing to :func:`missing_at_most` is as likely (GUM 4.3.7, about what was seen). None for an
     outline that is given: it says what is meant.
@@ -125,7 +140,7 @@ def cut_m6(
     sides = cut_sides(tin, base, part > 0.0, 0.5 * parameters.volume.object_height_m)
     if not len(sides.ends):
         return 0.0
-    return missing_at_most(tin, sides, normal, abs(volume_m3)) ** 2 / 3.0
+    return missing_at_most(tin, base, part > 0.0, sides, abs(volume_m3)) ** 2 / 3.0
 
 
 def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> BodyCut | None:

@@ -522,6 +522,6 @@ def assess_field(
     )
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
     if any(doubt.name == "cut" for doubt in doubts):
-        missing = ask("cut", lambda: cut_m6(tin, footing.base, part, normal, net_m3, parameters))
+        missing = ask("cut", lambda: cut_m6(tin, footing.base, part, net_m3, parameters))
         volume = with_line(volume, "cut", missing)
     return with_faces(tin, part, on_face, volume, parameters.volume.kind)
