@@ -109,8 +109,9 @@ def slopes_across(tin: Tin, base: Plane, inside: Bool, sides: CutSides) -> F64:
     count = min(NEAREST, len(own))
     near = cKDTree(own[:, :2]).query(middle - far * across, k=count)[1].reshape(-1, count)
     inward = ((middle[:, None] - own[near, :2]) * across[:, None]).sum(axis=2).mean(axis=1)
-    rise: F64 = sides.height.mean(axis=1) - height[near].mean(axis=1)
-    return rise / np.maximum(inward, 0.5 * far)
+    rise = sides.height.mean(axis=1) - height[near].mean(axis=1)
+    slopes: F64 = rise / np.maximum(inward, 0.5 * far)
+    return slopes
 
 
 def missing_at_most(tin: Tin, base: Plane, inside: Bool, sides: CutSides, body_m3: float) -> float:
