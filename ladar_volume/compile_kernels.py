@@ -50,8 +50,8 @@ CLOUDS, CLOUD_VOLUMES = "clouds", "cloud_volumes"
 TICKS = "--ticks"
 START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
 #: Numba's compiler makes millions of objects that live as long as their kernel. Looking for cycles
-#: among them as often as Python does by default takes a sixth of the time.
-OBJECTS_BETWEEN_COLLECTIONS = 200_000
+#: among them as often as Python does by default takes a sixth of the time (gc.set_threshold).
+RARE_COLLECTIONS = (200_000, 20, 100)
 SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
 
@@ -272,7 +272,7 @@ def _estimate(estimator: VolumeEstimator) -> None:
 
 def main(words: Sequence[str]) -> int:
     """Compile the named stages, or those of all nodes. Returns the exit code."""
-    gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS, 20, 100)
+    gc.set_threshold(*RARE_COLLECTIONS)
     COMPILE_PROGRESS.ticks = TICKS in words
     COMPILE_PROGRESS.to_stderr = not COMPILE_PROGRESS.ticks
     for stage in [w for w in words if w != TICKS] or STAGES:

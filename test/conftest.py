@@ -32,10 +32,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """The objects of thousands of tests stay to the end: no search for cycles need look at them."""
-    from ladar_volume.compile_kernels import OBJECTS_BETWEEN_COLLECTIONS
+    from ladar_volume.compile_kernels import RARE_COLLECTIONS
 
     gc.freeze()
-    gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
+    gc.set_threshold(*RARE_COLLECTIONS)
     gc.enable()
 
 

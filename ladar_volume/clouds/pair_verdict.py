@@ -42,7 +42,7 @@ from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 from ladar_volume.volume.field_checks.standing_objects import APART_M
-from ladar_volume.volume.field_checks.steep_faces import wall_m6, walls_m6
+from ladar_volume.volume.field_checks.steep_faces import enclosed_m6, wall_m6
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Fewest cells of ground that is named, and fewest triangles in each.
@@ -200,7 +200,7 @@ def with_walls(
     wall = min(wall_m6(tin, faces, FACE_M), sum(one.volume_m3 for one in things) ** 2)
     if doubted:
         inside_m2 = np.where(changed, footprint_areas(tin.vertices, tin.triangles), 0.0)
-        wall = walls_m6(tin, inside_m2, ground.on_face, wall)
+        wall += enclosed_m6(tin, inside_m2, ground.on_face)
     return with_lines(volume, {"wall": wall}) if wall > 0.0 else volume
 
 

@@ -40,7 +40,7 @@ from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap
 from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.plant_cover import known_cover
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
-from ladar_volume.volume.field_checks.steep_faces import wall_m6, walls_m6
+from ladar_volume.volume.field_checks.steep_faces import enclosed_m6, wall_m6
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
@@ -293,8 +293,8 @@ def with_edge(
 def with_readings(
     volume: CloudVolume, readings: GroundReadings | None, doubts: list[Doubt]
 ) -> CloudVolume:
-    """The volume with what the choice of its ground does to it, and the unevenness of that where it
-    is doubted.
+    """The volume with what the choice of its ground does to it, and its unevenness where that is
+    doubted.
     """
     if readings is None or math.isnan(volume.sigma_m3):
         return volume
@@ -382,7 +382,7 @@ def with_missing(
         wall = wall_m6(tin, faces, STEP * parameters.volume.object_height_m)
         # no more of a thing can be left, or be missing, than what was taken out
         if "wall" in doubted:
-            lines["wall"] = walls_m6(tin, inside, on_face, wall)
+            lines["wall"] = wall + enclosed_m6(tin, inside, on_face)
         else:
             lines["wall"] = min(wall, doubted["object"] ** 2)
     lines = {name: variance for name, variance in lines.items() if variance > 0.0}

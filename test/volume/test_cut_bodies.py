@@ -49,3 +49,19 @@ def test_where_it_rises_towards_the_cut_twice_what_was_seen_may_be_missing():
     cone = lambda x, y: np.maximum(4.0 - 0.5 * np.hypot(x, y), 0.0)  # noqa: E731
     seen = math.pi * 8.0**2 * 4.0 / 3.0 / 4.0
     assert missing(cone, -2.0, body_m3=seen) == 2.0 * seen
+
+
+def test_a_body_of_centimetres_is_as_one_of_metres():
+    """The same cone a hundredth as wide and high: what may be missing is a millionth."""
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-12.0, 12.0, (8000, 2))
+    xy = xy[xy[:, 0] < 4.0]
+    r = np.column_stack([xy, np.maximum(4.0 - 0.5 * np.hypot(*xy.T), 0.0)])
+
+    def most(scale):
+        tin, _ = sampled_without_isolated(build_tin(scale * r))
+        inside = tin.relevant & (tin.vertices[tin.triangles, 2].mean(axis=1) > 0.1 * scale)
+        sides = cut_sides(tin, ZERO, inside, 0.05 * scale)
+        return missing_at_most(tin, ZERO, inside, sides, 1e9)
+
+    assert most(0.01) == pytest.approx(1e-6 * most(1.0), rel=0.05)

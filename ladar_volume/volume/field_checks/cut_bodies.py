@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,9 +26,9 @@ LONG, PEELED = 3.0, 20
 #: Slopes (tangents) across a cut: towards it the surface rises from the first on, and falls off no
 #: more gently than the second. How often what was seen may be missing where it rises.
 RISING, FLAT, RISES = 0.1, 0.1, 2.0
-#: The slope is told over so many usual lengths of a side, and so many metres at least, from the
-#: mean of so many points.
-INWARD, INWARD_M, NEAREST = 4.0, 0.5, 4
+#: The slope is told over so many usual lengths of a side, and so many metres, or this part of a
+#: small body's width, at least; from the mean of so many points.
+INWARD, INWARD_M, PART, NEAREST = 4.0, 0.5, 0.25, 4
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,8 @@ def slopes_across(tin: Tin, base: Plane, inside: Bool, sides: CutSides) -> F64:
     own = tin.vertices[vertex_mask(tin, inside)]
     height = np.abs(height_above(own, base))
     middle = ends[:, :, :2].mean(axis=1)
-    far = max(INWARD * float(np.median(sides.length_m)), INWARD_M)
+    wide = math.sqrt(float(footprint_areas(tin.vertices, tin.triangles[inside]).sum()))
+    far = max(INWARD * float(np.median(sides.length_m)), min(INWARD_M, PART * wide))
     count = min(NEAREST, len(own))
     near = cKDTree(own[:, :2]).query(middle - far * across, k=count)[1].reshape(-1, count)
     inward = ((middle[:, None] - own[near, :2]) * across[:, None]).sum(axis=2).mean(axis=1)

@@ -57,9 +57,9 @@ from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import (
     NEGLIGIBLE,
     edge_doubts,
+    enclosed_m6,
     steep_faces,
     wall_m6,
-    walls_m6,
 )
 from ladar_volume.volume.field_checks.surface_changes import (
     SurfaceChange,
@@ -432,7 +432,7 @@ def with_faces(tin: Tin, part: F64, on_face: Bool, volume: Volume, kind: str) ->
     """
     doubted = {doubt.name: doubt.value or 0.0 for doubt in volume.verdict.doubts}
     if "wall" in doubted:
-        wall = walls_m6(tin, part, on_face, wall_m6(tin, part > 0.0))
+        wall = wall_m6(tin, part > 0.0) + enclosed_m6(tin, part, on_face)
         return with_line(volume, "wall", wall)
     if "object" in doubted:  # no more of it can be left, or be missing, than what was taken out
         volume = with_line(volume, "wall", min(wall_m6(tin, part > 0.0), doubted["object"] ** 2))

@@ -109,12 +109,11 @@ def enclosed_m3(tin: Tin, inside_m2: F64, on_face: Bool) -> float:
     return total
 
 
-def walls_m6(tin: Tin, inside_m2: F64, on_face: Bool, wall: float) -> float:
-    """Variance of the volume, m⁶, where steep faces are doubted: of the faces themselves, ``wall``,
-    and of what they enclose, which is counted and may be no part of it, all or nothing of it
-    (uniform: GUM 4.3.7).
+def enclosed_m6(tin: Tin, inside_m2: F64, on_face: Bool) -> float:
+    """Variance of the volume, m⁶, for what doubted faces enclose: it is counted, and anything from
+    none to all of it may be no part of the body (uniform: GUM 4.3.7).
     """
-    return wall + enclosed_m3(tin, inside_m2, on_face) ** 2 / 3.0
+    return enclosed_m3(tin, inside_m2, on_face) ** 2 / 3.0
 
 
 def steep_faces(tin: Tin, inside_m2: F64, on_face: Bool) -> SteepFaces | None:

@@ -11,6 +11,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.records import F64, I64, Plane, Tin
 from ladar_volume.tin.boundary import border
+from ladar_volume.tin.relevant import edge_lengths
 
 #: Heights of a terrace above the base, m; half the range of heights that is one, in standard
 #: deviations of the ground about the base, and the least of these, m.
@@ -19,7 +20,6 @@ HEIGHTS, HALF, LEAST_M = (0.05, 1.0), 2.0, 0.0125
 #: ends within so many of its own widths above it; its least mean width, m; and the share of the
 #: volume above it.
 TIMES, REACH, WIDE_M, ABOVE = 2.0, 4, 0.2, 0.15
-
 #: Triangles bridge what was not seen from so many times the usual longest side on.
 SPARSE = 4.0
 
@@ -30,8 +30,7 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float, radiu
     filter; wider triangles bridge what was not seen, and each is much area about one height.
     """
     rows = np.flatnonzero(inside_m2 > 0.0)
-    corner = tin.vertices[tin.triangles[rows], :2]
-    side = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=2).max(axis=1)
+    side = edge_lengths(tin, inside_m2 > 0.0).max(axis=1)
     rows = rows[side <= max(radius_m, SPARSE * float(np.median(side)))]
     height, area = height_above(tin.vertices, base)[tin.triangles[rows]], inside_m2[rows]
     mean = height.mean(axis=1)
