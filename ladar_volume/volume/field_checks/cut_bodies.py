@@ -28,7 +28,7 @@ LONG, PEELED = 3.0, 20
 RISING, FLAT, RISES = 0.1, 0.1, 2.0
 #: The slope is told over so many usual lengths of a side, and so many metres, or this part of a
 #: small body's width, at least; from the mean of so many points.
-INWARD, INWARD_M, PART, NEAREST = 4.0, 0.5, 0.25, 4
+INWARD, INWARD_M, PART, NEAREST = 4.0, 0.5, 0.05, 4
 
 
 @dataclass(frozen=True)
