@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.math.packed_covariance import unpack
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.records import F64, I64
@@ -88,11 +89,9 @@ def voxel_numbers(r_map: F64, edge_m: float) -> I64:
     A face of a cell must not run within the noise of a level surface: it would sort the noise of
     its points.
     """
-    _, column = np.unique(np.floor(r_map[:, :2] / edge_m), axis=0, return_inverse=True)
-    column = column.ravel()
+    _, column = distinct_cells(np.floor(r_map[:, :2] / edge_m).astype(np.int64))
     storey = np.floor((r_map[:, 2] - medians(r_map[:, 2], column)[column]) / edge_m + 0.5)
-    _, cell = np.unique(np.column_stack([column, storey]), axis=0, return_inverse=True)
-    return cell.ravel()
+    return distinct_cells(np.column_stack([column, storey.astype(np.int64)]))[1]
 
 
 def fit_planes(

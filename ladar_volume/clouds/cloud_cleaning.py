@@ -13,14 +13,13 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thin_by_cells
 from ladar_volume.clouds.sampling.isolation import far_from_cloud
 from ladar_volume.math.equal_rows import rows_of
-from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
+from ladar_volume.math.kernels import PARTS, inlined, kernel, run_in_threads
 from ladar_volume.math.nearest import (
     NearestIndex,
     Some,
@@ -140,7 +139,7 @@ class Cloud(NamedTuple):
     limits: F64
 
 
-@kernel
+@inlined
 def plane_part(cloud: Cloud, chosen: I64, near: I32, out: Bool) -> None:
     """See :func:`plane_kernel`: some of the points, whose neighbours are near (k, m), rows."""
     m, limits, sigma = near.shape[1], cloud.limits, cloud.sigma
@@ -162,7 +161,7 @@ def plane_part(cloud: Cloud, chosen: I64, near: I32, out: Bool) -> None:
         out[i] = off_plane(d, r, size, count, sigma, alone, limits)
 
 
-@kernel
+@inlined
 def search_and_ask(
     index: NearestIndex, kept: I32, cloud: Cloud, chosen: I64, some: Some, out: Bool, far: F64
 ) -> None:
@@ -182,16 +181,23 @@ def search_and_ask(
         plane_part(cloud, own, near, out[a : a + n])
 
 
-@parallel_kernel
+@kernel
 def plane_kernel(
-    index: NearestIndex, kept: I32, cloud: Cloud, chosen: I64, k: int, out: Bool, far: F64
+    parts: I64,
+    index: NearestIndex,
+    kept: I32,
+    cloud: Cloud,
+    chosen: I64,
+    k: int,
+    out: Bool,
+    far: F64,
 ) -> None:
-    """Which of the points ``chosen`` (m,), rows, are strays beside the planes of least sizes
-    through the k points nearest to them over the plane, of those in the index, which are the rows
-    ``kept``; and how far, m, the last of these is.
+    """Of the points ``chosen`` (m,), rows, those in ``parts`` of :data:`PARTS`: which are strays
+    beside the planes of least sizes through the k points nearest to them over the plane, of those
+    in the index, which are the rows ``kept``; and how far, m, the last of these is.
     """
     n = len(chosen)
-    for part in numba.prange(PARTS):
+    for part in parts:
         some = Some(part * n // PARTS, (part + 1) * n // PARTS, k)
         search_and_ask(index, kept, cloud, chosen, some, out, far)
 
@@ -258,7 +264,8 @@ def ask_planes(cloud: Cloud, kept: I32, chosen: I64, out: Bool, far: F64) -> Non
     """:func:`plane_kernel` beside the points ``kept`` (k,), rows, where there are any."""
     most = min(PLANE + 1, len(kept))
     if most:
-        plane_kernel(nearest_index(rows_of(cloud.flat, kept)), kept, cloud, chosen, most, out, far)
+        index = nearest_index(rows_of(cloud.flat, kept))
+        run_in_threads(plane_kernel, np.arange(PARTS), index, kept, cloud, chosen, most, out, far)
 
 
 def clean(points: F64) -> CleaningResult:

@@ -16,6 +16,7 @@ from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_residuals
 from ladar_volume.ground.polynomial import height_above
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Plane
@@ -84,7 +85,7 @@ def unevenness(points: F64, base: Plane, variance: F64, length_m: float, reach_m
     if np.count_nonzero(near) < FEWEST_POINTS or not length_m > 0:
         return math.nan
     cell = np.floor((points[near, :2] - points[near, :2].min(axis=0)) / length_m).astype(np.int64)
-    number = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    _, number = distinct_cells(cell)
     count = np.bincount(number)
     mean = np.bincount(number, off[near]) / count
     noise = np.bincount(number, variance[near]) / count**2

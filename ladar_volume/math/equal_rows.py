@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ladar_volume.math.array_types import F64, I32, I64
@@ -55,6 +57,22 @@ def first_equal(values: F64) -> I64:
 def distinct_rows(values: F64) -> I64:
     """Rows (k,), ascending, of values (n, d): the first of those that are equal."""
     return np.flatnonzero(first_equal(values) == np.arange(len(values)))
+
+
+def distinct_cells(cell: I64) -> tuple[I64, I64]:
+    """Of rows of whole numbers (n, d): the first row of each distinct one (k,), in lexicographic
+    order, and the number (n,) of each in it. Numbers of one word are sorted far faster than rows.
+    """
+    if not len(cell):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    low, high = cell.min(axis=0).tolist(), cell.max(axis=0).tolist()
+    size = tuple(b - a + 1 for a, b in zip(low, high, strict=True))
+    if math.prod(size) < 1 << 63:
+        name = np.ravel_multi_index(tuple((cell.astype(np.int64) - low).T), size)
+        _, first, number = np.unique(name, return_index=True, return_inverse=True)
+    else:
+        _, first, number = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
 
 
 def rows_of(values: F64, rows: I32 | I64) -> F64:

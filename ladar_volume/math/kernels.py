@@ -52,6 +52,14 @@ def kernel(function: F) -> F:
     return result
 
 
+def inlined(function: F) -> F:
+    """As :func:`kernel`, for what one other kernel calls in one place: it becomes part of that."""
+    compiled: Any = numba.njit(**OPTIONS, inline="always")(function)
+    keep(compiled)
+    result: F = compiled
+    return result
+
+
 def leaf_kernel(function: F) -> F:
     """As :func:`kernel`, for small functions in hot loops that neither allocate nor return arrays
     (numba refuses those that do): rows ``x[i]`` handed to others are not counted as references,

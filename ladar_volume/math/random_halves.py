@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.equal_rows import distinct_cells
+
 #: Points nearer to each other than this share of the cloud's extent are copies; distances that
 #: differ by less than this share of it are alike.
 SAME, ALIKE = 1e-6, 1e-9
@@ -26,7 +28,7 @@ def random_order(
     low, extent = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-290)
     # rounded: a cloud that was moved keeps its order where coordinates are the same
     place = np.rint((points - low) / (SAME * extent)).astype(np.int64)
-    _, rows = np.unique(place, axis=0, return_index=True)
+    rows, _ = distinct_cells(place)
     at = (points[rows] - low) / extent
     at -= at.mean(axis=0)
     weight = np.einsum("nk,nk->n", at, at)

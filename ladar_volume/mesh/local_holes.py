@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 from ladar_volume.mesh.local_frames import tangent_coordinates
 from ladar_volume.mesh.local_growth import (
     FAN,
@@ -99,7 +99,7 @@ def triangle_price(points: F64, normals: F64, a: int, b: int, c: int) -> float:
     return 0.5 * twice * (2.0 - cosine if cosine > 0.0 else 100.0)
 
 
-@kernel
+@inlined
 def close_rim(points: F64, normals: F64, fan: I32, size: I32, rim: I32) -> int:
     """Close one rim (k,) by its cheapest triangulation that uses no edge the surface already has;
     how many triangles, 0 where none is.

@@ -96,10 +96,21 @@ def _to_outside(name: str, value: object) -> Any:
     return value
 
 
+#: What :func:`specs` has read: hints are slow to resolve, and options ask for each by its name.
+_SPECS: dict[type, tuple[ParameterSpec, ...]] = {}
+
+
 def specs(cls: type) -> tuple[ParameterSpec, ...]:
     """The declarations of a parameter dataclass, in order, with keys, defaults and bounds as the
     outside sees them. Fields that no :func:`param` declares are for callers in Python alone.
     """
+    if cls not in _SPECS:
+        _SPECS[cls] = _declared(cls)
+    return _SPECS[cls]
+
+
+def _declared(cls: type) -> tuple[ParameterSpec, ...]:
+    """:func:`specs`, from the class itself."""
     hints = typing.get_type_hints(cls)
     out = []
     for f in dataclasses.fields(cls):

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64, I64
 from ladar_volume.registration.transform import Transform, free_parameters
@@ -158,8 +159,7 @@ def clustered_covariance(A: F64, r: F64, Q: F64, source: F64, cell_m: float) -> 
     """Covariance (f, f) of the step where residuals of one cell may be correlated: ``Q (Σ_c s_c
     s_cᵀ) Q``, ``s_c = Σ_(i in c) a_i r_i``.
     """
-    _, cell = np.unique(np.floor(source / cell_m).astype(np.int64), axis=0, return_inverse=True)
-    cell = cell.ravel()
+    _, cell = distinct_cells(np.floor(source / cell_m).astype(np.int64))
     count = int(cell.max()) + 1
     scores = np.stack([np.bincount(cell, A[:, k] * r, count) for k in range(A.shape[1])], axis=1)
     if count <= 2 * A.shape[1]:

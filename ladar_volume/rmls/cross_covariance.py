@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I32, I64, U32, Bool
-from ladar_volume.math.kernels import kernel, parallel_kernel, signed
+from ladar_volume.math.kernels import inlined, kernel, parallel_kernel, signed
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import polynomial_row as row_of
@@ -262,7 +262,7 @@ def _shared_products(
     return m
 
 
-@kernel
+@inlined
 def _blocks_of(
     chunk: int,
     chunks: int,
@@ -299,8 +299,9 @@ def _blocks_of(
                 _sandwich(fits.inverse[a], S, fits.inverse[b], p, out[k])
 
 
-@parallel_kernel
+@kernel
 def cross_blocks(
+    index: I64,
     pairs: Pairs,
     store: VoxelArrays,
     fits: Fits,
@@ -309,8 +310,8 @@ def cross_blocks(
     chunks: int,
     out: F32,
 ) -> None:
-    """The blocks of the pairs that share points, the patch with the lower key first. slots : of the
-    members, see :func:`local_slots`
+    """The blocks of the pairs that share points, the patch with the lower key first, of those of so
+    many chunks of the rows that ``index`` names. slots : of the members, see :func:`local_slots`
     """
-    for chunk in numba.prange(chunks):
-        _blocks_of(signed(chunk), chunks, pairs, store, fits, slots, p, out)
+    for chunk in index:
+        _blocks_of(chunk, chunks, pairs, store, fits, slots, p, out)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.georeference.lidar_equation import Mounting
+from ladar_volume.math.kernels import run_in_threads
 from ladar_volume.model.parameters import SurfaceFilterParameters
 from ladar_volume.model.records import I64, FilteredPoints, Patches, select
 from ladar_volume.rmls import cross_covariance, patch_sensitivity, projection, refit_kernels
@@ -44,7 +45,7 @@ class PatchBuilder:
             f.refit_iterations,
             f.seed,
         )
-        refit_kernels.fit_patches(s.arrays, rule, fits)
+        run_in_threads(refit_kernels.fit_patches, np.arange(len(voxels)), s.arrays, rule, fits)
         return fits
 
     def patches(self, kept: FitStore, rows: I64, once: bool = False) -> Patches:
@@ -61,7 +62,17 @@ class PatchBuilder:
             cross_covariance.Pairs(rows, offset, others),
             cross_covariance.chunks_of(len(rows)),
         )
-        cross_covariance.cross_blocks(pairs, s.arrays, fits, slots, p, chunks, blocks)
+        run_in_threads(
+            cross_covariance.cross_blocks,
+            np.arange(chunks),
+            pairs,
+            s.arrays,
+            fits,
+            slots,
+            p,
+            chunks,
+            blocks,
+        )
         found = self._sensitivities(fits, rows, p)
         return Patches(
             s.keys[rows],
@@ -138,7 +149,16 @@ class PatchBuilder:
             np.zeros((len(rows), self.beams), np.float32),
             np.zeros(len(rows), np.float32),
         )
-        patch_sensitivity.sensitivities(rows, s.arrays, fits, p, mount, out)
+        run_in_threads(
+            patch_sensitivity.sensitivities,
+            np.arange(len(rows)),
+            rows,
+            s.arrays,
+            fits,
+            p,
+            mount,
+            out,
+        )
         return out
 
     def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:
@@ -156,7 +176,17 @@ class PatchBuilder:
         )
         spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
         C_beta = np.ascontiguousarray(patches.cross[patches.cross_start[:-1]])
-        projection.project(rows, s.arrays, fits, C_beta, p, spacing, out)
+        run_in_threads(
+            projection.project,
+            np.arange(len(rows)),
+            rows,
+            s.arrays,
+            fits,
+            C_beta,
+            p,
+            spacing,
+            out,
+        )
         slot = np.arange(n) % max(s.cap, 1)
         keep = slot < np.repeat(out.counts, s.cap)
         patch = np.repeat(patches.key, s.cap)

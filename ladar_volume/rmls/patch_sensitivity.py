@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I32, I64
-from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel, signed
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel, parallel_kernel
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
 from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
@@ -249,7 +249,7 @@ def _runs_of(mine: I32, runs: int, key: int, t_ns: I64, bin_ns: int) -> Runs:
     return Runs(run, drawn, runs >= nb)
 
 
-@kernel
+@inlined
 def _sum_returns(
     a: int,
     mine: I32,
@@ -303,7 +303,7 @@ def residual(r: F64, slot: int, frame: F64, p: int, x: F64, beta: F64) -> Any:
     return w
 
 
-@kernel
+@inlined
 def mean_residuals(
     a: int, mine: I32, store: VoxelArrays, fits: Fits, p: int, run: I64, by_run: F32, by_beam: F32
 ) -> float:
@@ -340,7 +340,7 @@ def mean_residuals(
     return own / within if within > 0.0 else 0.0
 
 
-@kernel
+@inlined
 def _sensitivities_of(
     i_row: int,
     a: int,
@@ -376,8 +376,9 @@ def _sensitivities_of(
         solve_sensitivities(fits.inverse[a], p, fits.used[a], nav[g], out.M_nav[first + g])
 
 
-@parallel_kernel
+@kernel
 def sensitivities(
+    index: I64,
     rows: I64,
     store: VoxelArrays,
     fits: Fits,
@@ -385,7 +386,8 @@ def sensitivities(
     mount: MountArrays,
     out: SensitivityArrays,
 ) -> None:
-    """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4)
+    """Of those of ``rows`` (m,) at ``index``: mean sensitivities M_cal (m, p + 2, 11 + 2 beams)
+    over all inliers, and M_nav (l, p + 2, 4)
     per time bin: of beta, ``(XᵀWX)⁻¹ Σ_j w_j x_j n·∂r_j/∂theta``, and of the place along tangent
     and binormal, the weighted mean of ``tangent·∂r_j/∂theta``.
 
@@ -395,5 +397,5 @@ def sensitivities(
     other way round on what it has on its other side. Over patches, whose draws differ evenly, all
     bins have their say.
     """
-    for i_row in numba.prange(len(rows)):
-        _sensitivities_of(signed(i_row), rows[i_row], store, fits, p, mount, out)
+    for i_row in index:
+        _sensitivities_of(i_row, rows[i_row], store, fits, p, mount, out)

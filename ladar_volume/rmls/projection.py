@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I64, U64
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel, signed
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
@@ -158,7 +157,7 @@ def _surface_at(
     return w, wu, wv, variance
 
 
-@kernel
+@inlined
 def _project_row(
     i_row: int,
     rows: I64,
@@ -192,8 +191,9 @@ def _project_row(
         tangential_covariance(cells.noise[k], n, size, out.C[i])
 
 
-@parallel_kernel
+@kernel
 def project(
+    index: I64,
     rows: I64,
     store: VoxelArrays,
     fits: Fits,
@@ -202,13 +202,13 @@ def project(
     edge: float,
     out: ProjectedArrays,
 ) -> None:
-    """Project each patch's own inliers and replace those in one cell of its tangent plane by their
-    mean.
+    """Project the own inliers of each patch of ``rows[index]``, and replace those in one cell of
+    its tangent plane by their mean.
 
     Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
-    for i_row in numba.prange(len(rows)):
-        _project_row(signed(i_row), rows, store, fits, C_beta, p, edge, out)
+    for i_row in index:
+        _project_row(i_row, rows, store, fits, C_beta, p, edge, out)
 
 
 @kernel

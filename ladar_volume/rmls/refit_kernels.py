@@ -14,7 +14,7 @@ import numpy as np
 
 from ladar_volume.math.array_types import F64, I16, I32, I64, Bool
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, parallel_kernel, signed
+from ladar_volume.math.kernels import inlined, kernel, parallel_kernel
 from ladar_volume.rmls import patch_fit
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.patch_fit import REACH, StartRule
@@ -122,7 +122,7 @@ def refit_rule(rule: FitRule) -> RefitRule:
     return RefitRule(2.0 * rule.radius, rule.sigmas, rule.floor, rule.iterations)
 
 
-@kernel
+@inlined
 def _start_plane(
     pts: F64, slots: I32, n: int, store: VoxelArrays, rule: FitRule, voxel: int, near: F64
 ) -> tuple[int, float, F64, F64]:
@@ -143,7 +143,7 @@ def _start_plane(
     return OK, sigma, plane, origin
 
 
-@kernel
+@inlined
 def _refit_surface(
     near: Near,
     m: int,
@@ -178,7 +178,7 @@ def _inliers_first(slots: I32, near: Near, m: int, cap: int, voxel: int) -> bool
     return own
 
 
-@kernel
+@inlined
 def _fit_one(
     a: int, slots: I32, n: int, store: VoxelArrays, rule: FitRule, fits: Fits
 ) -> tuple[int, int, float]:
@@ -215,7 +215,7 @@ def _fit_one(
     return OK if own else NOT_ON_PATCH, used, s
 
 
-@kernel
+@inlined
 def _fit_row(a: int, store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
     """Fit row a."""
     v = fits.voxels[a]
@@ -235,13 +235,13 @@ def _fit_row(a: int, store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
         fits.used[a] = 0
 
 
-@parallel_kernel
-def fit_patches(store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
-    """Fit every voxel of ``fits.voxels``; inlier slots of patch a go to
-    ``members[start[a] : start[a] + used[a]]``. start : (m + 1,) room for the candidates of each.
+@kernel
+def fit_patches(index: I64, store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
+    """Fit those of ``fits.voxels`` at ``index`` (m,); inlier slots of patch a go to
+    ``members[start[a] : start[a] + used[a]]``. start : room for the candidates of each.
     """
-    for a in numba.prange(len(fits.voxels)):
-        _fit_row(signed(a), store, rule, fits)
+    for a in index:
+        _fit_row(a, store, rule, fits)
 
 
 @kernel

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
@@ -114,9 +115,8 @@ def height_covariance(tin: Tin, fit: SurfaceFit, unadjusted_m2: F64) -> Any:
         N = np.asarray(fit.B.power(2).T @ fit.weight).reshape(-1)
         known = np.where(fit.adjusted, 1.0 / np.where(N > 0, N, 1.0), unadjusted_m2)
         return diagonal_matrix(known)
-    pairs = np.unique(
-        np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1), axis=0
-    )
+    sides = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
+    pairs = sides[distinct_cells(sides)[0]]
     normal = Normal(fit.B, fit.weight, direct=True, pairs=pairs)
     factor = normal.factor
     if factor is None or not np.array_equal(factor.perm_r, factor.perm_c):

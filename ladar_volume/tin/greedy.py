@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.tin.triangle_table import (
     GHOST,
@@ -188,7 +188,7 @@ def distribute_points(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> 
         m[t, 3] = q
 
 
-@kernel
+@inlined
 def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> int:
     """Make point p of triangle t's list a vertex and deal out the points of all triangles that
     change; returns a triangle of p's star.

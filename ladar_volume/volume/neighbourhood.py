@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel, run_in_threads
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import part_of, places_in
 from ladar_volume.tin.insertion_order import hilbert_order
@@ -24,6 +24,25 @@ from ladar_volume.tin.median_screen import edges
 SparseF64: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"
 #: Pieces of work shared over the cores; the result does not depend on it.
 CHUNKS = 16
+
+
+class Given(NamedTuple):
+    """Heights and variances (n,) of vertices, and sums of their covariances."""
+
+    h: F64
+    variance: F64
+    summed: F64
+
+
+class Smoothed(NamedTuple):
+    """Of some vertices (r,): rings of the neighbourhood, 0 where the height stays; weights (r, 3)
+    of its plane; height of the plane there, m, and its variance, m².
+    """
+
+    ring: I64
+    plane: F64
+    level: F64
+    spread: F64
 
 
 class Smooth:
@@ -47,11 +66,20 @@ class Smooth:
             hilbert_order(self._xy[rows])
         ]  # neighbours in turn share what the cache holds
         self._ring, self._plane = np.zeros(len(rows), np.int64), np.zeros((len(rows), 3))
+        level, spread = np.zeros(len(rows)), np.zeros(len(rows))
         self.heights, self.variance = h.copy(), variance.copy()
         if rings > 0 and len(rows):
             share = variance if summed is None else np.maximum(summed, 0.0)
-            self._ring, self._plane, level, spread = smooth_kernel(
-                self.start, self.link, self._xy, h, variance, share, self._rows, rings
+            run_in_threads(
+                smooth_kernel,
+                np.arange(CHUNKS),
+                self.start,
+                self.link,
+                self._xy,
+                Given(np.ascontiguousarray(h), variance, share),
+                self._rows,
+                rings,
+                Smoothed(self._ring, self._plane, level, spread),
             )
             grown = self._ring > 0
             self.heights[self._rows[grown]], self.variance[self._rows[grown]] = (
@@ -182,16 +210,15 @@ def plane_weights(m: F64, plane: F64) -> None:
         plane[0] -= plane[1] * cx + plane[2] * cy
 
 
-@parallel_kernel
+@kernel
 def smooth_kernel(
-    start: I64, link: I64, xy: F64, h: F64, variance: F64, share: F64, rows: I64, rings: int
-) -> tuple[I64, F64, F64, F64]:
-    """For vertices rows (r,): how many rings their neighbourhood has, the weights (r, 3) of its
-    plane, and the plane's height there and its variance.
-    """
+    chunks: I64, start: I64, link: I64, xy: F64, given: Given, rows: I64, rings: int, out: Smoothed
+) -> None:
+    """Of vertices ``rows`` (r,), those of ``chunks`` of :data:`CHUNKS`, to ``out``."""
+    h, variance, share = given
+    ring, planes, level, spread = out
     r, n = len(rows), len(h)
-    ring, planes, level, spread = np.zeros(r, np.int64), np.zeros((r, 3)), np.zeros(r), np.zeros(r)
-    for chunk in numba.prange(CHUNKS):
+    for chunk in chunks:
         mark, member, m, p = (
             np.full(n, -1, np.int32),
             np.empty(256, np.int64),
@@ -218,7 +245,7 @@ def smooth_kernel(
                 ring[i], level[i], planes[i] = k + 1, z, p
                 spread[i] = p[0] * (p[0] * m[9] + 2.0 * (p[1] * m[10] + p[2] * m[11]))
                 spread[i] += p[1] * (p[1] * m[12] + 2.0 * p[2] * m[13]) + p[2] * p[2] * m[14]
-    return ring, planes, level, np.maximum(spread, 0.0)
+            spread[i] = max(spread[i], 0.0)
 
 
 @parallel_kernel

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from ladar_volume.math.kernels import kernel, parallel_kernel, signed
+from ladar_volume.math.kernels import inlined, kernel, parallel_kernel, signed
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tin.locate import CHUNKS, search_boxes
 from ladar_volume.volume.triangle_clipping import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
@@ -108,7 +108,7 @@ def note(w: F64, o: int, ids: I64, rows: F64, chunk: int, used: int) -> int:
     return used + 1
 
 
-@kernel
+@inlined
 def along_neighbours(
     t: int,
     start: int,
@@ -150,7 +150,7 @@ def along_neighbours(
     return (covered if i == count else -1.0), used, last
 
 
-@kernel
+@inlined
 def from_tree(
     t: int,
     entry: int,

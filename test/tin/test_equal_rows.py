@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.math.equal_rows import distinct_rows, first_equal
+from ladar_volume.math.equal_rows import distinct_cells, distinct_rows, first_equal
 
 RNG = np.random.default_rng(3)
 ROWS = {
@@ -28,3 +28,20 @@ def test_first_of_equal_rows(name: str) -> None:
 def test_nan_equals_nothing() -> None:
     values = np.array([[np.nan, 1.0], [np.nan, 1.0], [2.0, 1.0], [2.0, 1.0]])
     assert first_equal(values).tolist() == [0, 1, 2, 2]
+
+
+@pytest.mark.parametrize("most", [3, 1 << 20, 1 << 40])
+@pytest.mark.parametrize("dtype", [np.int32, np.int64])
+def test_distinct_cells_are_those_of_numpy(most: int, dtype: type) -> None:
+    rng = np.random.default_rng(most)
+    cell = rng.integers(-min(most, 1 << 30), most, (500, 3)).astype(dtype)[
+        rng.integers(500, size=900)
+    ]
+    first, number = distinct_cells(cell)
+    want = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+    assert np.array_equal(first, want[1]) and np.array_equal(number, want[2].ravel())
+
+
+def test_of_no_cells_none_is_distinct() -> None:
+    first, number = distinct_cells(np.zeros((0, 2), np.int64))
+    assert not len(first) and not len(number)

@@ -19,7 +19,7 @@ from ladar_volume.clouds.filter.cell_records import (
 )
 from ladar_volume.math.array_types import F64, I32, I64, U64
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND, REACH
 from ladar_volume.rmls.voxel_store import voxels_around
 
@@ -78,7 +78,7 @@ def cell_at(v: int, turn: int, cells: Cells, rule: CellRule, noise: CellNoise) -
     return Cell(v, turn, x, m, slots, origin, noise.sigma[v], noise.threshold[v], noise.width[v])
 
 
-@kernel
+@inlined
 def _fit_in_slab(cell: Cell, free: I64, label: I64, plane: F64, mean: F64, inverse: F64) -> Any:
     """Refit a plane to the points ``free`` within the threshold of it; returns their number."""
     used = 0
@@ -105,7 +105,7 @@ def _points_off_plane(x: F64, free: I64, left: int, plane: F64, width: float) ->
     return rest
 
 
-@kernel
+@inlined
 def _planes_of(cell: Cell, rule: CellRule, state: U64, planes: F64) -> Any:
     """Planes (OFFERED, 4) of one cell, as :func:`main_planes`; returns their number."""
     label, mean, inverse = np.full(cell.m, -1), np.empty(3), np.empty((3, 3))
@@ -145,7 +145,7 @@ def main_planes(
         known.counts[v] = _planes_of(cell, rule, state, known.planes[v])
 
 
-@kernel
+@inlined
 def neighbour_candidates(
     v: int, cells: Cells, known: NeighbourPlanes, origin: F64, out: F64
 ) -> Any:
@@ -159,7 +159,7 @@ def neighbour_candidates(
     return n
 
 
-@kernel
+@inlined
 def neighbour_sets(v: int, cells: Cells, known: NeighbourPlanes, origin: F64) -> NeighbourSets:
     """The sets of several planes of the cells next to cell v and its own, about ``origin``."""
     near, n = np.empty(NEXT, np.int64), 0

@@ -48,7 +48,7 @@ from ladar_volume.clouds.filter.single_surface import (
     nearest_to_origin,
 )
 from ladar_volume.math.array_types import F64, I64
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND
 from ladar_volume.rmls.tangent_frame import second_tangent
 
@@ -94,7 +94,7 @@ def foot_on_planes(x: F64, origin: F64, pieces: Pieces, count: int, q: F64, n_ou
     return np.sqrt(square), share, on
 
 
-@kernel
+@inlined
 def surface_of(
     cell: Cell,
     cells: Cells,
@@ -123,7 +123,7 @@ def surface_of(
     return _search_surface(cell, cells, rule, candidates, best, pieces, quadric)
 
 
-@kernel
+@inlined
 def _search_surface(
     cell: Cell,
     cells: Cells,
@@ -152,7 +152,7 @@ def _search_surface(
     return count, curve
 
 
-@kernel
+@inlined
 def _refine_planes(cell: Cell, ball: float, count: int, pieces: Pieces) -> Any:
     """Planes refitted to a fixed point; returns (their number, length of their description, sum of
     truncated squares).
@@ -164,7 +164,7 @@ def _refine_planes(cell: Cell, ball: float, count: int, pieces: Pieces) -> Any:
     return count, length, square
 
 
-@kernel
+@inlined
 def _describe_cell(
     cell: Cell,
     cells: Cells,
@@ -192,7 +192,7 @@ def _describe_cell(
     return count, length, square, curve
 
 
-@kernel
+@inlined
 def _project(
     cell: Cell,
     cells: Cells,
@@ -225,7 +225,7 @@ def _project(
             out.reason[to] = KEPT if is_supported(x, m, origin, q, reach) else UNSUPPORTED
 
 
-@kernel
+@inlined
 def filter_cell(
     cell: Cell, cells: Cells, rule: CellRule, known: NeighbourPlanes, out: CellOutcome
 ) -> Any:

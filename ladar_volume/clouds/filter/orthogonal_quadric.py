@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.clouds.filter.cell_records import Quadric
 from ladar_volume.math.array_types import F64
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 from ladar_volume.rmls.tangent_frame import (
     Frame,
@@ -173,7 +173,7 @@ def height_at(u: float, v: float, beta: F64) -> Any:
     return height, beta[1] + gu, beta[2] + gv
 
 
-@kernel
+@inlined
 def quadric_from(
     pts: F64,
     n: int,

@@ -20,7 +20,7 @@ from ladar_volume.clouds.filter.sharp_planes import (
     on_line,
 )
 from ladar_volume.math.array_types import F64, I64
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 
 #: Most rounds of sharing out and refitting; and where the cell will choose again.
 ROUNDS, FIRST_ROUNDS = 30, 8
@@ -176,7 +176,7 @@ def drop_plane(pieces: Pieces, count: int, k: int) -> Any:
     return count - 1
 
 
-@kernel
+@inlined
 def merge_coincident(pieces: Pieces, count: int, sigma: float) -> Any:
     """Drop planes that another one explains: nearly parallel, and within the noise of it at their
     own centre.
@@ -302,7 +302,7 @@ def _price_pieces(sample: PointSample, pieces: Pieces, count: int, most: float) 
     return length + count * (3.0 * np.log(sample.n) * sample.sigma * sample.sigma)
 
 
-@kernel
+@inlined
 def _refit_all(
     sample: PointSample, reach: float, pieces: Pieces, count: int, shares: Shares, across: float
 ) -> Any:
@@ -329,7 +329,7 @@ def _refit_all(
     return merge_coincident(pieces, count, sample.sigma), moved
 
 
-@kernel
+@inlined
 def _covariances(sample: PointSample, pieces: Pieces, count: int, shares: Shares) -> None:
     """``used``, ``means`` and ``inverses`` of the planes as they are, by what the points tell."""
     membership_shares(sample, pieces, count, shares)

@@ -20,7 +20,7 @@ from ladar_volume.clouds.filter.sharp_planes import (
     squared_distances,
 )
 from ladar_volume.math.array_types import F64, I64
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 
 #: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a
 #: neighbour found the plane.
@@ -70,7 +70,7 @@ def sum_of_minima(a: F64, b: F64, n: int) -> Any:
     return ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))
 
 
-@kernel
+@inlined
 def greedy_candidates(sample: PointSample, candidates: F64, worth: float, out: F64) -> Any:
     """A few candidates (c, 4), each the one that explains most of what those before it leave, to
     out (k, 4); returns how many. One that lowers the sum of squares by no more than it is ``worth``
@@ -191,7 +191,7 @@ def best_small_set(
     return count, cost
 
 
-@kernel
+@inlined
 def refit_nearest(
     sample: PointSample, count: int, cost: float, need: int, planes: F64, bounds: PieceBounds
 ) -> Any:
@@ -224,7 +224,7 @@ def remove_plane(planes: F64, size: int, k: int | np.intp, out: F64) -> Any:
     return size - 1
 
 
-@kernel
+@inlined
 def _best_move(
     sample: PointSample,
     few: F64,
@@ -260,7 +260,7 @@ def _best_move(
     return best_count, best
 
 
-@kernel
+@inlined
 def exchange_search(
     sample: PointSample, few: F64, need: int, most: int, planes: F64, bounds: PieceBounds
 ) -> Any:
@@ -392,7 +392,7 @@ def fit_quality(whole: PointSample, own: F64, planes: F64, count: int, bounds: P
     return np.int64(square + (m - near) * (whole.threshold / sigma) ** 2 <= ENOUGH * m)
 
 
-@kernel
+@inlined
 def select_planes(
     whole: PointSample,
     candidates: F64,

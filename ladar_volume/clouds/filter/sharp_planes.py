@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.math.array_types import F64, I64, U64
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 from ladar_volume.math.normal_equations import eigen
 from ladar_volume.rmls.patch_fit import random_below
 
@@ -87,7 +87,7 @@ def _score(x: F64, free: I64, m: int, trial: F64, limit: float, best: float) -> 
     return score
 
 
-@kernel
+@inlined
 def best_plane(
     x: F64, free: I64, m: int, reach: float, threshold: float, trials: int, state: U64, plane: F64
 ) -> Any:

@@ -17,7 +17,7 @@ from ladar_volume.clouds.filter.orthogonal_quadric import (
 )
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import inlined, kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 from ladar_volume.rmls.patch_fit import StartRule, start_plane
 from ladar_volume.rmls.tangent_frame import second_tangent, tangent_of
@@ -52,7 +52,7 @@ def nearest_to_origin(planes: F64, count: int) -> Any:
     return best
 
 
-@kernel
+@inlined
 def least_median_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> Any:
     """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns
     its robust sigma, −1 for none.
@@ -103,7 +103,7 @@ def curvature_gain(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: floa
     return gain
 
 
-@kernel
+@inlined
 def fit_single_plane(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
     """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
     the noise, and quadratic terms would lower its squares by less than their price. Refits
@@ -200,7 +200,7 @@ def _quadric_cost(cell: Cell, quadric: Quadric) -> Any:
     return cost, 0 if alone else sharp_planes.MOST
 
 
-@kernel
+@inlined
 def fit_curved_quadric(
     cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric: Quadric
 ) -> Any:

@@ -43,7 +43,9 @@ def misfit_variance(r: F64, q: F64, normal: F64, noise: F64) -> F64:
     out = np.zeros(n)
     for k in (FEW, MANY):
         square = np.empty(n)
-        _mean_squares(np.ascontiguousarray(r - q), normal, noise, near[:, :k], square)
+        _mean_squares(
+            np.ascontiguousarray(r - q), normal, noise, np.ascontiguousarray(near[:, :k]), square
+        )
         for _ in range(AVERAGED):
             mean = np.empty(n)
             _averages(square, near, mean)

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64
 
@@ -29,8 +30,8 @@ def thickness(r: F64, axis: int) -> float:
     if not size > 0.0:
         return math.nan
     at = np.floor(flat / size).astype(np.int64)
-    _, cell, count = np.unique(at, axis=0, return_inverse=True, return_counts=True)
-    cell = cell.ravel()
+    _, cell = distinct_cells(at)
+    count = np.bincount(cell)
     off = r[:, axis] - (np.bincount(cell, r[:, axis]) / count)[cell]
     full = count >= LEAST
     if np.count_nonzero(full) < CELLS:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.volume_verdict import with_lines
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas
@@ -78,12 +79,11 @@ def cell_means(tin: Tin, cells: int = CELLS) -> CellMeans:
     side = math.sqrt(float(area.sum()) / cells)
     low = middle.min(axis=0)
     cell = np.floor((middle - low) / side).astype(np.int64)
-    numbers, at = np.unique(cell, axis=0, return_inverse=True)
-    at = at.reshape(-1)
+    first, at = distinct_cells(cell)
     own: F64 = np.bincount(at, area).astype(np.float64)
     mean = np.bincount(at, area * height) / np.maximum(own, 1e-300)
     full = own > FULL * side * side
-    return CellMeans(mean[full], own[full], numbers[full], low, side)
+    return CellMeans(mean[full], own[full], cell[first[full]], low, side)
 
 
 def unchanged_cells(cells: CellMeans) -> UnchangedPart | None:

@@ -21,6 +21,7 @@ from ladar_volume.io.pointfiles.raw_table import (
     rows_without_return,
     units_of_names,
 )
+from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.model.verdict import Doubt
@@ -220,7 +221,7 @@ def _too_coarse(r: F64, step: F64, single: bool) -> list[Doubt]:
     coarse = worst >= COARSE_M and worst > 0.5 * spacing
     lines = single or worst >= 5.0 * float(step[:2].min())  # unlike steps in x and y
     if coarse:
-        apart = len(np.unique(r[:, :2] if lines else r, axis=0)) / len(r)
+        apart = len(distinct_rows(r[:, :2] if lines else r)) / len(r)
         coarse = not (raster and apart > 0.9) if lines else apart < 0.5
     what = (
         f"at {np.abs(r[:, k]).max():,.0f} m float32 has"

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.model.records import F64, I64
 
 #: Points that predict a gap, at most.
@@ -95,8 +96,7 @@ def thin_to_grid(xy: F64, rows: I64, spacing_m: float) -> I64:
     side = spacing_m
     while len(rows) > SEEN:
         square = np.floor(xy / side).astype(np.int64)
-        first = np.unique(square, axis=0, return_index=True)[1]
-        first.sort()
+        first = np.sort(distinct_cells(square)[0])
         rows, xy, side = rows[first], xy[first], 1.3 * side
     return rows
 

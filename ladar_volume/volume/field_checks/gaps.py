@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from ladar_volume.ground.polynomial import base_height, height_above
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane, Tin
@@ -213,7 +214,7 @@ def places_of(corners: F64, share: F64) -> tuple[F64, F64, F64]:
         parts.append(own)
     made = np.concatenate(parts)
     square = np.floor((made[:, :2] - made[:, :2].min(axis=0)) / side).astype(np.int64)
-    at = np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
+    _, at = distinct_cells(square)
     weight: F64 = np.bincount(at, made[:, 3]).astype(np.float64)
     x, y, z = (np.bincount(at, made[:, 3] * made[:, k]) / weight for k in range(3))
     return np.column_stack([x, y]), weight, z

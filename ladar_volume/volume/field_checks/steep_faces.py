@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ladar_volume.ground.polynomial import height_above
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
@@ -85,7 +86,7 @@ def enclosed_m3(tin: Tin, inside_m2: F64, on_face: Bool) -> float:
     if len(rows) < FEWEST:
         return 0.0
     # one of a cell is enough for a hull
-    rows = rows[np.unique(np.floor(xy[rows] / CELL_M), axis=0, return_index=True)[1]]
+    rows = rows[distinct_cells(np.floor(xy[rows] / CELL_M).astype(np.int64))[0]]
     pairs = cKDTree(xy[rows]).query_pairs(JOIN_M, output_type="ndarray")
     label, total = parts(len(rows), pairs[:, 0], pairs[:, 1]), 0.0
     for number in range(int(label.max()) + 1):

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.model.records import F64, I64, Bool, PatchTable
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.uncertainty.packing import navigation_units
@@ -192,7 +193,7 @@ def change_of(
     by[once & ~moved.far] = float(np.quantile(by[moved.far], MUCH))
     up = float(moved.off[moved.far].sum()) > 0.0
     cell = np.floor(place[some, :2] / apart_m).astype(np.int64)
-    number = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    _, number = distinct_cells(cell)
     area = apart_m**2 / np.bincount(number)[number]
     return SurfaceChange(t_ns, seen.row[some], by[some], area, up)
 
