@@ -19,10 +19,12 @@ from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.trouble_kinds import KINDS, TroubledSurvey, make_trouble
+from ladar_volume.simulation.trouble_kinds import KINDS, TroubledSurvey, make_trouble, mixture
 
 #: Errors above so many printed sigmas are wrong.
 WRONG = 3.0
+#: The row of a table in which all mixtures are.
+MIXED = "two or three kinds"
 #: Seeds of each kind, and with ``--reduced``.
 SEEDS, REDUCED = 20, 2
 
@@ -39,6 +41,11 @@ class WildRow:
     doubts: tuple[str, ...]
     named: bool
     refused: str = ""
+
+    @property
+    def group(self) -> str:
+        """Its row in a table."""
+        return MIXED if "+" in self.kind else self.kind
 
     @property
     def wrong(self) -> bool:
@@ -71,6 +78,12 @@ def wild_survey(kind: str, seed: int) -> WildRow:
     return WildRow(kind, seed, true, v.volume_m3 - true, v.sigma_m3, doubts, named)
 
 
+def mixed_surveys(count: int, first: int = 1) -> Iterator[WildRow]:
+    """So many surveys with two or three kinds of trouble each."""
+    for seed in range(first, first + count):
+        yield wild_survey(mixture(seed), seed)
+
+
 def wild_surveys(kinds: list[str], seeds: int, first: int = 1) -> Iterator[WildRow]:
     """Surveys of each kind, seed by seed."""
     for seed in range(first, first + seeds):
@@ -79,13 +92,13 @@ def wild_surveys(kinds: list[str], seeds: int, first: int = 1) -> Iterator[WildR
 
 
 def wild_table(rows: list[WildRow]) -> str:
-    """A table by kind, as Markdown."""
+    """A table by kind, as Markdown; mixtures are one row."""
     head = (
         "| kind | surveys | error, RMS | printed sigma, median | > 3 sigma | of these not named |"
     )
     lines = [f"{head} doubtful | refused |", "|---" + "|---:" * 7 + "|"]
-    for kind in dict.fromkeys(row.kind for row in rows):
-        own = [row for row in rows if row.kind == kind]
+    for kind in dict.fromkeys(row.group for row in rows):
+        own = [row for row in rows if row.group == kind]
         good = [row for row in own if not row.refused]
         rms = np.sqrt(np.mean([(r.error_m3 / r.true_m3) ** 2 for r in good])) if good else np.nan
         sigma = np.median([r.sigma_m3 / r.true_m3 for r in good]) if good else np.nan

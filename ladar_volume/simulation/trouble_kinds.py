@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -47,13 +48,52 @@ KINDS: dict[str, Callable[[SceneDraft], None]] = {
 }
 
 
+#: Kinds that draw pile or ground anew, and those that end the survey or change it: of several
+#: troubles at once these come first and last.
+FIRST = ("thin_toe", "flat_top_shadow", "undulating", "varied_ground")
+LAST = ("heaped", "region_cut", "region_toe", "one_side")
+#: What no mixture has: nothing wrong, and a volume above a level, which other ground would change.
+ALONE = ("clean", "lever_above_level")
+#: Kinds of which one undoes the other, or what is true would not be known.
+APART = (
+    {"thin_toe", "flat_top_shadow"},
+    {"thin_toe", "heaped"},
+    {"undulating", "varied_ground"},
+    {"wall", "heaped"},
+    {"machine_leaves", "heaped"},
+    {"region_cut", "region_toe"},
+)
+#: Share of mixtures of two kinds; the others have three.
+PAIRS = 0.7
+
+
 def make_trouble(kind: str, seed: int) -> Trouble:
-    """A random survey of a kind. Raises SimulationError for an unknown kind."""
-    if kind not in KINDS:
-        raise SimulationError(f"no trouble {kind!r}; there are {', '.join(KINDS)}", value=kind)
-    drawing = SceneDraft(seed, kind)
-    KINDS[kind](drawing)
+    """A random survey of a kind, or of several joined by ``+``. Raises SimulationError for an
+    unknown kind.
+    """
+    kinds = kind.split("+")
+    for each in kinds:
+        if each not in KINDS:
+            raise SimulationError(f"no trouble {each!r}; there are {', '.join(KINDS)}", value=each)
+    drawing, names, volume = SceneDraft(seed, kind), set[str](), dict[str, Any]()
+    for each in kinds:
+        KINDS[each](drawing)
+        names.update(drawing.names)
+        volume |= drawing.volume
+    drawing.names, drawing.volume = tuple(sorted(names)), volume
     return drawing.trouble()
+
+
+def mixture(seed: int) -> str:
+    """Two or three kinds at random, joined by ``+``."""
+    rng = np.random.default_rng([seed, 77])
+    drawn = [kind for kind in KINDS if kind not in ALONE]
+    middle = sorted({*drawn} - {*FIRST, *LAST})
+    order = [*FIRST, *middle, *LAST]
+    while True:
+        some = set(rng.choice(drawn, 2 if rng.random() < PAIRS else 3, replace=False).tolist())
+        if not any(pair <= some for pair in APART):
+            return "+".join(sorted(some, key=order.index))
 
 
 @dataclass

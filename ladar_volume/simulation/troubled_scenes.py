@@ -157,16 +157,14 @@ class SceneDraft:
 
     def trouble(self) -> Trouble:
         """The scene as drawn."""
-        mesh = pile_mesh(self.pile, self.ground)
-        for hole in self.holes:
-            mesh = remove_rectangle(mesh, hole)
+        mesh = self._ground_mesh(self.pile)
         extent = max(self.pile.a, self.pile.b) + AROUND_M
         scene = self._scene(join(mesh, *self.bodies, *self.leaving), extent)
         if self.leaving:
             later = self._scene(join(mesh, *self.bodies), extent)
             self.flight_trouble = dataclasses.replace(self.flight_trouble, later=later)
         if self.later_pile is not None:
-            later = self._scene(join(pile_mesh(self.later_pile, self.ground)), extent)
+            later = self._scene(join(self._ground_mesh(self.later_pile), *self.bodies), extent)
             self.flight_trouble = dataclasses.replace(self.flight_trouble, later=later)
         flight = self.flight or lanes(0.5 * extent, 25.0, DURATION_S)
         settings: Settings = {
@@ -177,6 +175,12 @@ class SceneDraft:
         return Trouble(
             self.kind, scene, flight, settings, self.names, self.true_budget, self.flight_trouble
         )
+
+    def _ground_mesh(self, pile: Pile) -> tuple[F64, npt.NDArray[np.int32]]:
+        mesh = pile_mesh(pile, self.ground)
+        for hole in self.holes:
+            mesh = remove_rectangle(mesh, hole)
+        return mesh
 
     def _scene(self, mesh: tuple[F64, npt.NDArray[np.int32]], extent: float) -> Scene:
         return Scene(self.kind, *mesh, self.volume_m3, np.zeros((0, 2)), extent + BEYOND_M)

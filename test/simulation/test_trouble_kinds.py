@@ -8,7 +8,14 @@ import pytest
 from ladar_volume.model.errors import SimulationError
 from ladar_volume.simulation.further_troubles import ThinPile, leaves
 from ladar_volume.simulation.survey import EPOCH_NS
-from ladar_volume.simulation.trouble_kinds import KINDS, TroubledSurvey, make_trouble
+from ladar_volume.simulation.trouble_kinds import (
+    ALONE,
+    APART,
+    KINDS,
+    TroubledSurvey,
+    make_trouble,
+    mixture,
+)
 from ladar_volume.simulation.troubled_scenes import Pile, SceneDraft
 
 #: Kinds in which nothing is wrong.
@@ -60,3 +67,26 @@ def test_fixes_jump_from_a_moment_on():
 def test_an_unknown_kind_is_refused():
     with pytest.raises(SimulationError, match="no trouble"):
         make_trouble("meteor", 1)
+    with pytest.raises(SimulationError, match="no trouble 'meteor'"):
+        make_trouble("grass+meteor", 1)
+
+
+def test_mixtures_have_two_or_three_kinds_that_bear_each_other():
+    drawn = [mixture(seed) for seed in range(300)]
+    assert drawn == [mixture(seed) for seed in range(300)]
+    kinds = [each.split("+") for each in drawn]
+    assert {len(each) for each in kinds} == {2, 3}
+    assert set().union(*kinds) == set(KINDS) - set(ALONE)
+    assert not any(pair <= set(each) for pair in APART for each in kinds)
+
+
+def test_a_mixture_has_the_troubles_of_its_kinds():
+    d = make_trouble("thin_toe+crest_hole+gnss_jump+heaped", 2)
+    assert {"thin_toe", "unseen", "budget", "changed"} <= set(d.names)
+    assert d.settings["volume"]["object_height_m"] == 0.15
+    assert np.isfinite(d.flight_trouble.jump_s) and d.flight_trouble.later is not None
+    alone = make_trouble("heaped", 2)
+    holed = make_trouble("crest_hole+heaped", 2)
+    whole, cut = alone.flight_trouble.later, holed.flight_trouble.later
+    assert whole is not None and cut is not None
+    assert len(cut.triangles) < len(whole.triangles)

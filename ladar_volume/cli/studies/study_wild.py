@@ -21,7 +21,14 @@ def add_wild(studies: Verbs) -> None:
         "names.",
     )
     parser.add_argument(
-        "--kind", action="append", default=[], metavar="NAME", help="a kind (default: all)"
+        "--kind",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a kind (default: all), or several joined by +",
+    )
+    parser.add_argument(
+        "--mixed", type=int, metavar="N", help="N surveys with two or three random kinds each"
     )
     parser.add_argument("--seeds", type=int, metavar="N", help="surveys of each kind (default 20)")
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="first seed (1)")
@@ -34,13 +41,24 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate, print, and write wild.md and a line per survey to wild.jsonl."""
     from dataclasses import asdict
 
-    from ladar_volume.experiments.wild import REDUCED, SEEDS, wild_surveys, wild_table
+    from ladar_volume.experiments.wild import (
+        REDUCED,
+        SEEDS,
+        mixed_surveys,
+        wild_surveys,
+        wild_table,
+    )
     from ladar_volume.io import results
 
     console, rows, lines = Console(), [], []
     seeds = arguments.seeds or (REDUCED if arguments.reduced else SEEDS)
     folder = results.output_folder(arguments.output)
-    for row in wild_surveys(arguments.kind, seeds, arguments.first):
+    surveys = (
+        mixed_surveys(arguments.mixed, arguments.first)
+        if arguments.mixed
+        else wild_surveys(arguments.kind, seeds, arguments.first)
+    )
+    for row in surveys:
         rows.append(row)
         lines.append(json.dumps(results.finite(asdict(row))))
         results.write_text(folder / "wild.jsonl", "\n".join(lines) + "\n")
