@@ -33,7 +33,7 @@ from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.cutfill import with_net
-from ladar_volume.volume.field_checks.base_readings import base_reading_doubts, below_base
+from ladar_volume.volume.field_checks.base_readings import base_reading_doubts, below_base, below_m6
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
@@ -293,16 +293,18 @@ def with_edge(
 def with_readings(
     volume: CloudVolume, readings: GroundReadings | None, doubts: list[Doubt]
 ) -> CloudVolume:
-    """The volume with what the choice of its ground does to it, and its unevenness where that is
-    doubted.
+    """The volume with what the choice of its ground does to it, its unevenness where that is
+    doubted, and what lies below its base.
     """
-    if readings is None or math.isnan(volume.sigma_m3):
+    if math.isnan(volume.sigma_m3):
         return volume
-    uneven = any(doubt.name == "base_uneven" for doubt in doubts)
-    chosen = readings.uneven_m3**2 if uneven else 0.0
-    if readings.others is not None:
+    chosen = 0.0
+    if readings is not None and any(doubt.name == "base_uneven" for doubt in doubts):
+        chosen = readings.uneven_m3**2
+    if readings is not None and readings.others is not None:
         volume = dataclasses.replace(volume, freedom=readings.others.freedom)
         chosen = max(chosen, readings.others.variance_m6)
+    chosen += below_m6(doubts)
     return with_lines(volume, {"base_model": chosen}) if chosen > 0.0 else volume
 
 

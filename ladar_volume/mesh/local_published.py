@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 from ladar_volume.mesh.local_frames import neighbours_within
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I32, I64, Bool
@@ -161,7 +161,7 @@ def empty_circle(x: F64, y: F64, a: int, b: int, c: int) -> bool:
     return True
 
 
-@kernel
+@inlined
 def insert_triangle(table: I64, corner: I64) -> bool:
     """Put a triangle, corners ascending, into the hash table; False where it is there already."""
     key = (corner[0] << 42) | (corner[1] << 21) | corner[2]
@@ -175,7 +175,7 @@ def insert_triangle(table: I64, corner: I64) -> bool:
     return True
 
 
-@kernel
+@inlined
 def is_surrounded(points: F64, n: F64, v: int, around: I32) -> bool:
     """Whether the angles at v of its triangles, seen along n, add up to 360 degrees (or more, where
     they overlap).

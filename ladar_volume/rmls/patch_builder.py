@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.georeference.lidar_equation import Mounting
+from ladar_volume.math.array_types import F32
 from ladar_volume.math.kernels import run_in_threads
 from ladar_volume.model.parameters import SurfaceFilterParameters
 from ladar_volume.model.records import I64, FilteredPoints, Patches, select
@@ -56,23 +57,7 @@ class PatchBuilder:
         s, p = self.store, 6 if self.parameters.degree == 2 else 3
         offset, others = self._pairs(kept, rows, once)
         fits = kept.with_inliers(np.union1d(rows, others), s)
-        blocks = np.zeros((offset[-1], p, p), np.float32)
-        slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
-        pairs, chunks = (
-            cross_covariance.Pairs(rows, offset, others),
-            cross_covariance.chunks_of(len(rows)),
-        )
-        run_in_threads(
-            cross_covariance.cross_blocks,
-            np.arange(chunks),
-            pairs,
-            s.arrays,
-            fits,
-            slots,
-            p,
-            chunks,
-            blocks,
-        )
+        blocks = self._cross_blocks(fits, cross_covariance.Pairs(rows, offset, others), p)
         found = self._sensitivities(fits, rows, p)
         return Patches(
             s.keys[rows],
@@ -94,6 +79,23 @@ class PatchBuilder:
             beam_residual=found.beam_residual,
             own_residual=found.own_residual,
         )
+
+    def _cross_blocks(self, fits: Fits, pairs: cross_covariance.Pairs, p: int) -> F32:
+        s, chunks = self.store, cross_covariance.chunks_of(len(pairs.rows))
+        blocks = np.zeros((len(pairs.others), p, p), np.float32)
+        slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
+        run_in_threads(
+            cross_covariance.cross_blocks,
+            np.arange(chunks),
+            pairs,
+            s.arrays,
+            fits,
+            slots,
+            p,
+            chunks,
+            blocks,
+        )
+        return blocks
 
     def _pairs(self, kept: FitStore, rows: I64, once: bool) -> tuple[I64, I64]:
         """Pairs of patches that share raw points, in CSR form: (offset, other patch)."""

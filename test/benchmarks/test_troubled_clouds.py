@@ -26,6 +26,11 @@ def test_what_is_wrong_is_named(kind, names):
     assert found.status == "doubtful" and names & set(found.reasons)
 
 
+def test_what_lies_below_the_base_is_in_sigma():
+    found = answer("pad", 301, 6.0)
+    assert "below_base" in found.reasons and not found.far
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("clean", 301), ("clean", 302), ("pair: clean", 301)])
 def test_a_clean_cloud_is_believed(kind, seed):
     found = answer(kind, seed, 6.0)

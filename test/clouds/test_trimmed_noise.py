@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimmed_twin
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
-from test.clouds import trimmed_twin
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.02, 0.5])

@@ -23,7 +23,7 @@ from ladar_volume.clouds.published.published_records import (
 )
 from ladar_volume.clouds.published.random_samples import plane_and_scatter, sampled_plane
 from ladar_volume.math.array_types import F64, I64
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 
 #: Planes at less than this sine of their angle have no intersection that means anything.
 PARALLEL = 0.1
@@ -31,7 +31,7 @@ PARALLEL = 0.1
 ON_EDGE = 1e-9
 
 
-@kernel
+@inlined
 def nearest_distance(x: F64, planes: F64, count: int) -> float:
     """Distance of a point (3,) to the nearest of the planes, without bounds."""
     best = np.inf
@@ -40,7 +40,7 @@ def nearest_distance(x: F64, planes: F64, count: int) -> float:
     return best
 
 
-@kernel
+@inlined
 def label_by_plane(x: F64, m: int, planes: F64, count: int, threshold: float, label: I64) -> bool:
     """Label points (m, 3) with their nearest plane, −1 beyond the threshold of all; returns whether
     any label changed.
@@ -95,7 +95,7 @@ def refit_planes(
     return sigma, threshold
 
 
-@kernel
+@inlined
 def next_plane(
     x: F64, free: I64, left: int, rule: PublishedRule, sampler: Sampler, plane: F64
 ) -> tuple[float, int, int]:
@@ -126,7 +126,7 @@ def next_plane(
     return sigma, rest, made
 
 
-@kernel
+@inlined
 def half_planes(x: F64, m: int, label: I64, planes: PlaneSet, count: int) -> None:
     """``planes.side``: on which side of each other plane more of a plane's points (m, 3) lie."""
     plane = planes.plane
@@ -143,7 +143,7 @@ def half_planes(x: F64, m: int, label: I64, planes: PlaneSet, count: int) -> Non
             planes.side[a, b] = 1 if balance > 0 else -1 if balance < 0 else 0
 
 
-@kernel
+@inlined
 def start_planes(
     hood: Neighbourhood, m: int, rule: PublishedRule, start: F64
 ) -> tuple[int, float, int]:

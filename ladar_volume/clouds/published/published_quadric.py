@@ -17,7 +17,7 @@ from ladar_volume.clouds.published.random_samples import (
     sampled_quadric,
 )
 from ladar_volume.math.array_types import F64
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 from ladar_volume.rmls.tangent_frame import (
     Frame,
     Near,
@@ -45,14 +45,14 @@ def refit_rule(rule: PublishedRule) -> RefitRule:
     return RefitRule(2.0 * rule.radius, rule.sigmas, rule.floor, rule.iterations)
 
 
-@kernel
+@inlined
 def touch_surface(frame: Frame, beta: F64) -> None:
     """Move a frame to where its normal meets the surface, and turn it until it touches there."""
     move_to_surface(frame.centre, frame.normal, frame.tangent, beta)
     tangent_of(frame.normal, frame.tangent)
 
 
-@kernel
+@inlined
 def refit_quadric(
     near: Near, n: int, sigma: float, rule: PublishedRule, distances: F64, terms: Terms
 ) -> tuple[int, float, bool]:
@@ -77,7 +77,7 @@ def refit_quadric(
     return (used if used >= rule.min_points else 0), new, False
 
 
-@kernel
+@inlined
 def refit_and_move(
     hood: Neighbourhood,
     m: int,
@@ -111,7 +111,7 @@ def refit_and_move(
     return used, sigma
 
 
-@kernel
+@inlined
 def fit_quadric(
     hood: Neighbourhood, m: int, rule: PublishedRule, frame: Frame, terms: Terms
 ) -> tuple[int, float, int]:

@@ -46,7 +46,7 @@ from ladar_volume.clouds.published.published_records import (
 )
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.hashing import mix_bits
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 from ladar_volume.rmls.tangent_frame import Frame, Terms, second_tangent
 
 #: Half width, as a share of the threshold, of the band in which residuals are counted to see how
@@ -109,7 +109,7 @@ def is_surface(
     return True
 
 
-@kernel
+@inlined
 def project_on_quadric(
     r: F64, middle: int, m: int, hood: Neighbourhood, rule: PublishedRule, out: Outcome
 ) -> bool:
@@ -146,7 +146,7 @@ def project_on_quadric(
     return True
 
 
-@kernel
+@inlined
 def project_on_planes(
     r: F64, middle: int, m: int, hood: Neighbourhood, rule: PublishedRule, out: Outcome
 ) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from ladar_volume.clouds.filter.sharp_planes import distance, fit_plane, plane_through
 from ladar_volume.clouds.published.published_records import Sampler, Sampling
 from ladar_volume.math.array_types import F64, I64, U64
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import inlined, kernel
 from ladar_volume.math.normal_equations import basis, invert, select_kth
 from ladar_volume.rmls.patch_fit import MAD, median_or_bound, random_below, truncated_squares
 
@@ -51,7 +51,7 @@ def trials_needed(share: float, k: int, confidence: float) -> float:
     return np.log(1.0 - confidence) / np.log1p(-good) if good > 0.0 else np.inf
 
 
-@kernel
+@inlined
 def plane_and_scatter(
     x: F64, m: int, label: I64, own: int, plane: F64, mean: F64, inverse: F64
 ) -> tuple[int, float]:
@@ -66,7 +66,7 @@ def plane_and_scatter(
     return used, np.sqrt(square / (used - 3)) if used > 3 else 0.0
 
 
-@kernel
+@inlined
 def plane_of_sample(x: F64, sample: I64, k: int, plane: F64) -> bool:
     """The plane through three points of x (3, n), or the one nearest to k in least squares; False
     where they are in line.
@@ -149,7 +149,7 @@ def sampled_plane(
     return _robust_sigma(distances, n, 3, sampling), made
 
 
-@kernel
+@inlined
 def quadric_of_sample(uvw: F64, sample: I64, k: int, beta: F64) -> bool:
     """Coefficients (6,) of the quadric over (u, v) through six points of uvw (3, m), or nearest to
     k; False where undetermined.

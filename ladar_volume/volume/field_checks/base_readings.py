@@ -218,6 +218,13 @@ def below_base(cut_m3: float, fill_m3: float, sigma_m3: float) -> list[Doubt]:
     return [Doubt("below_base", words, less)]
 
 
+def below_m6(doubts: list[Doubt]) -> float:
+    """Variance, m⁶, by what lies below the base, where that is doubted: it may not belong to the
+    body at all.
+    """
+    return sum((doubt.value or 0.0) ** 2 for doubt in doubts if doubt.name == "below_base")
+
+
 def outline_points(tin: Tin, inside: Bool) -> I64:
     """Vertices (k,) along the outline of the triangles ``inside`` (m,)."""
     out = np.unique(side_ends(tin, *boundary_sides(tin, inside))).astype(np.int64)

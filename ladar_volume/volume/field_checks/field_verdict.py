@@ -36,6 +36,7 @@ from ladar_volume.volume.field_checks.base_readings import (
     base_reading_doubts,
     base_readings,
     below_base,
+    below_m6,
     given_base_doubts,
     student_factor,
 )
@@ -187,7 +188,7 @@ def with_base(
     share = volume.budget_m6.get("base_surface", 0.0) / max(volume.sigma_m3**2, 1e-300)
     factor = student_factor(volume.coverage_factor, volume.confidence, share, found.freedom)
     volume = dataclasses.replace(volume, coverage_factor=factor, verdict=volume.verdict + doubts)
-    return with_line(volume, "base_model", found.variance_m6)
+    return with_line(volume, "base_model", found.variance_m6 + below_m6(told))
 
 
 def budget_scales(found: Agreement | None, check: str, lines: Iterable[str]) -> dict[str, float]:
