@@ -13,8 +13,14 @@ from ladar_volume.cli.main import main
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.field_checks.plant_cover import cover_sigma, known_cover
+from ladar_volume.volume.field_checks.plant_cover import (
+    bush_doubts,
+    bush_volume,
+    cover_sigma,
+    known_cover,
+)
 
 CONE, FOOT_M2 = math.pi * 16.0, math.pi * 16.0
 GRASS_M, SIGMA_M = 0.1, 0.03
@@ -80,6 +86,39 @@ def test_plants_are_in_sigma_unless_the_user_knows_of_them():
         sigma, doubts = cover_sigma(ground, body, 50.0, 100.0)
         assert sigma == pytest.approx(2.0) and word in doubts[0].text
     assert cover_sigma(0.0, 1.0, 50.0, 100.0)[0] == 100.0
+
+
+def plane_of_patches(faces=False):
+    """Ten by ten metres of patches that scatter by 1 cm, by 5 cm on 2 by 2 m in the middle, which
+    with ``faces`` lie along a wall.
+    """
+    u = np.arange(0.0, 10.01, 0.25)
+    xy = np.stack(np.meshgrid(u, u), axis=-1).reshape(-1, 2)
+    tin = build_tin(np.column_stack([xy, np.zeros(len(xy))]))
+    bush = (np.abs(tin.vertices[:, :2] - 5.0) <= 1.0).all(axis=1)
+    on_face = bush & (np.abs(tin.vertices[:, 0] - 5.0) < 0.1) & faces
+    return tin, footprint_areas(tin.vertices, tin.triangles), np.where(bush, 0.05, 0.01), on_face
+
+
+def test_single_plants_on_a_body_are_what_scatters_beyond_the_rest():
+    tin, part, scatter, on_face = plane_of_patches()
+    found = bush_volume(tin, part, scatter, on_face, 0.6)
+    assert 0.8 < found / (4.0 * math.sqrt(0.05**2 - 0.01**2)) < 1.3
+    tripled = bush_volume(tin, 3.0 * part, scatter, on_face, 0.6)
+    assert tripled == pytest.approx(3.0 * found)
+    assert bush_volume(tin, part, np.full(len(scatter), 0.02), on_face, 0.6) == 0.0
+    assert bush_volume(tin, 0.0 * part, scatter, on_face, 0.6) == 0.0
+
+
+def test_patches_along_steep_faces_are_no_plants():
+    whole = bush_volume(*plane_of_patches(), 0.6)
+    assert bush_volume(*plane_of_patches(faces=True), 0.6) < 0.7 * whole
+    assert bush_volume(*plane_of_patches(faces=True), 2.0) == 0.0
+
+
+def test_single_plants_are_doubted_beyond_a_sigma():
+    assert not bush_doubts(0.9, 1.0)
+    assert bush_doubts(1.1, 1.0)[0].name == "vegetation"
 
 
 @pytest.mark.parametrize(

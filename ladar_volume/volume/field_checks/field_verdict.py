@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.choices import CALIBRATION_GROUPS, SOURCE_LINES
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.parameters import Parameters, SurfaceFilterParameters, VolumeParameters
+from ladar_volume.model.parameters import Parameters, SurfaceFilterParameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
@@ -52,7 +52,12 @@ from ladar_volume.volume.field_checks.gaps import (
 )
 from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
-from ladar_volume.volume.field_checks.plant_cover import cover_sigma, known_cover
+from ladar_volume.volume.field_checks.plant_cover import (
+    bush_doubts,
+    bush_volume,
+    cover_sigma,
+    known_cover,
+)
 from ladar_volume.volume.field_checks.sight_lines import patch_views
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.field_checks.steep_faces import (
@@ -289,16 +294,23 @@ def with_cover(
     part: F64,
     volume: Volume,
     passes: PassAgreement,
-    v: VolumeParameters,
+    parameters: Parameters,
 ) -> Volume:
     """The volume with what grows on its ground, or on the body: as the user knows it, or where one
     scatters more than the other.
     """
+    v = parameters.volume
     known = known_cover(v, len(footing.base.support) > 0)
     ground = 0.0 if known.ground else passes.cover_m
     body = 0.0 if known.body else passes.body_cover_m
-    told, sigma = known.correction(survey.tin, footing.base, part, v.object_height_m)
+    tin = survey.tin
+    told, sigma = known.correction(tin, footing.base, part, v.object_height_m)
     found, doubts = cover_sigma(ground, body, volume.area_m2, volume.volume_m3)
+    scatter = survey.patches.sigma[survey.sources.geometry.row[tin.source]]
+    on_face = steep(survey.points.normal[tin.source])
+    radius_m = parameters.filter.radius_m
+    bush = 0.0 if known.body else bush_volume(tin, part, scatter, on_face, radius_m)
+    doubts += bush_doubts(bush, volume.sigma_m3)
     cut, fill = with_net(volume.cut_m3, volume.fill_m3, told)
     volume = dataclasses.replace(
         volume,
@@ -308,7 +320,7 @@ def with_cover(
         cover_m3=told,
         verdict=volume.verdict + Verdict(tuple(doubts)),
     )
-    return with_line(volume, "vegetation", math.hypot(sigma, found) ** 2)
+    return with_line(volume, "vegetation", math.hypot(sigma, found, bush) ** 2)
 
 
 def scaled_lines(volume: Volume, scales: Mapping[str, float]) -> Volume:
@@ -505,7 +517,7 @@ def assess_field(
     part = body.part
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
-    volume = with_cover(survey, footing, part, volume, passes, parameters.volume)
+    volume = with_cover(survey, footing, part, volume, passes, parameters)
     volume = with_change(volume, *ask("change", lambda: change_of(survey, part, passes.change)))
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, body, volume, parameters, ask)

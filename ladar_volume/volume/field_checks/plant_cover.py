@@ -6,14 +6,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import VolumeParameters
-from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 
 #: Height of what grows, over its scatter.
 COVER = 4.0
+#: Patches that scatter so many times as much as the body's median hold more than their surface.
+BUSH = 2.5
 
 
 class KnownCover(NamedTuple):
@@ -92,3 +95,37 @@ def cover_sigma(
             "bare)"
         )
     return sigma, [Doubt("vegetation", words, more)]
+
+
+def bush_volume(tin: Tin, part: F64, scatter_m: F64, on_face: Bool, radius_m: float) -> float:
+    """What single plants, and other things lower than what is left out as an object, may add to a
+    body, m³: where it scatters far more than usual, by how much more. Along steep faces patches
+    scatter that do not bend as sharply.
+
+    part : (m,) m² of each triangle that counts · scatter_m : (n,) RMS residual of the patch of each
+    vertex, m · on_face : (n,) vertices on steep faces · radius_m : how far a patch reaches
+    """
+    some = part > 0.0
+    if not some.any():
+        return 0.0
+    scatter = scatter_m[tin.triangles].mean(axis=1)
+    usual = float(np.median(scatter[some]))
+    far = np.flatnonzero(some & (scatter > BUSH * usual))
+    if len(far) and on_face.any():
+        corners = tin.vertices[tin.triangles[far]]
+        away = np.asarray(cKDTree(tin.vertices[on_face]).query(corners)[0])
+        far = far[away.min(axis=1) > radius_m]
+    return float(part[far] @ np.sqrt(scatter[far] ** 2 - usual**2))
+
+
+def bush_doubts(bush_m3: float, sigma_m3: float) -> list[Doubt]:
+    """Whether plants on the body hold more than a sigma."""
+    if not bush_m3 > sigma_m3:
+        return []
+    words = (
+        f"places on the body scatter more than {BUSH:g} times as much as the rest, as shrubs, "
+        f"rubble and people do: they may make it some {bush_m3:.3g} m³ too large, which is in "
+        "sigma; look at them, clear them, or say with volume.body_cover_m that they belong to it "
+        "(0, 0)"
+    )
+    return [Doubt("vegetation", words, bush_m3)]
