@@ -27,7 +27,7 @@ from ladar_volume.uncertainty.pass_agreement import (
 )
 from ladar_volume.volume.field_checks.field_verdict import (
     budget_scales,
-    refuted_beside_beams,
+    scatters_slopes,
     variance_ratio,
     with_passes,
 )
@@ -275,10 +275,15 @@ def test_the_budget_table_shows_the_components():
 
 
 def test_beams_alone_hide_no_plants_and_the_doubt_of_anything_else_says_that_it_may():
-    for name, hides in (("beams", False), ("attitude", True), ("noise", True)):
-        worse = SourceAgreement(name, 0.01, 25.0, 10.0, 1e-9, True, 1.0, 25.0)
+    for name, scale, hides in (
+        ("beams", 25.0, False),
+        ("attitude", 25.0, True),
+        ("attitude", 5.0, False),
+        ("noise", 25.0, True),
+    ):
+        worse = SourceAgreement(name, 0.01, scale, 10.0, 1e-9, True, 1.0, scale)
         found = Agreement(0.04, 0.012, 9.0, 10.0, 1e-9, True, (worse,))
-        assert refuted_beside_beams(found) == hides
+        assert scatters_slopes(found) == hides
         doubt = with_passes(VOLUME, found, "warn").verdict.doubts[-1]
         assert doubt.name == "budget" and ("plants" in doubt.text) == hides
-    assert not refuted_beside_beams(dataclasses.replace(found, refuted=False))
+    assert not scatters_slopes(dataclasses.replace(found, refuted=False))

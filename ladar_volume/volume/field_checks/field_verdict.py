@@ -85,6 +85,9 @@ OWN = ("noise", "noise_tangential", "smoothing", "base_surface")
 MOST_SCREENED = 0.05
 #: A change of the surface matters from so many standard deviations of the volume on.
 CHANGED = 0.5
+#: Errors so many times as large as stated scatter returns of slopes as plants do. Attitudes five
+#: times worse scattered none where they were told as less than this.
+SCATTERS = 3.0
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
 ROUNDS = 3
 
@@ -257,7 +260,7 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     if not found.refuted:
         return scaled_lines(volume, scales)
     words = refuted_words(found)
-    if refuted_beside_beams(found):
+    if scatters_slopes(found):
         words += "; such errors may hide plants on the ground or on the body"
     if check == "refuse":
         raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
@@ -366,10 +369,14 @@ def ground_and_body(
     return ground, body
 
 
-def refuted_beside_beams(agreement: Agreement) -> bool:
-    """Whether a budget is refuted by more than its beams, which scatter no return of its own."""
-    freed = {s.name for s in agreement.sources if s.scale > 1.0} - {"noise"}
-    return agreement.refuted and freed != {"beams"}
+def scatters_slopes(agreement: Agreement) -> bool:
+    """Whether a budget is refuted by errors that scatter the returns of slopes as plants do: they
+    are much larger than stated, or nobody knows which they are. Beams scatter no return of its own.
+    """
+    freed = {s.name: s.scale for s in agreement.sources if s.scale > 1.0 and s.name != "noise"}
+    beams = freed.pop("beams", 0.0)
+    unknown = not freed and not beams
+    return agreement.refuted and (unknown or any(s > SCATTERS**2 for s in freed.values()))
 
 
 def covers(
@@ -409,7 +416,7 @@ def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters)
     gap_s = parameters.georeference.max_position_gap_s
     agreement = pass_agreement(asked, survey.patches, nav, b, gap_s)
     # errors of position and attitude scatter slopes, and level ground does not show them
-    if agreement is not None and (agreement.shift_m > 0.0 or refuted_beside_beams(agreement)):
+    if agreement is not None and (agreement.shift_m > 0.0 or scatters_slopes(agreement)):
         body_cover = 0.0
     change = surface_change(survey.patches, nav.bin_ns)
     return PassAgreement(agreement, cover, body_cover, change)
