@@ -1,6 +1,7 @@
-"""Compiled kernels: one decorator for the serial and one for the parallel case.
+"""Compiled kernels: decorators for one thread, for what is a part of another kernel, and for the
+parallel case.
 
-Both release the GIL and cache their machine code. Parallel kernels write each output element from
+All release the GIL and cache their machine code. Parallel kernels write each output element from
 exactly one iteration and never reduce a float over iterations, so results do not depend on the
 number of threads.
 

@@ -387,9 +387,9 @@ def sensitivities(
     out: SensitivityArrays,
 ) -> None:
     """Of those of ``rows`` (m,) at ``index``: mean sensitivities M_cal (m, p + 2, 11 + 2 beams)
-    over all inliers, and M_nav (l, p + 2, 4)
-    per time bin: of beta, ``(XᵀWX)⁻¹ Σ_j w_j x_j n·∂r_j/∂theta``, and of the place along tangent
-    and binormal, the weighted mean of ``tangent·∂r_j/∂theta``.
+    over all inliers, and M_nav (l, p + 2, 4) per time bin: of beta, ``(XᵀWX)⁻¹ Σ_j w_j x_j
+    n·∂r_j/∂theta``, and of the place along tangent and binormal, the weighted mean of
+    ``tangent·∂r_j/∂theta``.
 
     A patch with inliers in more bins than it has room for gets runs of bins instead: of each run
     one inlier is drawn, and all count as if they had been seen when that one was. A common shift

@@ -1,5 +1,4 @@
-"""Parallel kernels over voxels: which to refit, and the fits. Each iteration writes its own
-outputs.
+"""Kernels over voxels: which to refit, and the fits. Each voxel writes its own outputs.
 
 Sums over points run in canonical order (voxel key, then hash), so the same points give the same
 bytes whatever the order of arrival, the batching or the number of threads.
@@ -45,8 +44,7 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
 class FitRule(NamedTuple):
     """How a patch is fitted: range r and parameters p of the surface; points per random sample,
     samples, and whether truncated squares choose the start; threshold in robust sigma with its
-    floor; fewest inliers; refits; seed. Lengths in m. Numbers alone: a parallel loop takes no
-    record of records.
+    floor; fewest inliers; refits; seed. Lengths in m.
     """
 
     radius: float

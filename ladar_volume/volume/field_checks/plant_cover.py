@@ -17,6 +17,8 @@ from ladar_volume.model.verdict import Doubt
 COVER = 4.0
 #: Patches that scatter so many times as much as the body's median hold more than their surface.
 BUSH = 2.5
+#: A patch across a break of loose material, as a crest or a toe, scatters by 0.065 of its radius.
+BREAK = 0.08
 
 
 class KnownCover(NamedTuple):
@@ -99,8 +101,8 @@ def cover_sigma(
 
 def bush_volume(tin: Tin, part: F64, scatter_m: F64, on_face: Bool, radius_m: float) -> float:
     """What single plants, and other things lower than what is left out as an object, may add to a
-    body, m³: where it scatters far more than usual, by how much more. Along steep faces patches
-    scatter that do not bend as sharply.
+    body, m³: where it scatters far more than usual, and than a break of its slope makes, by how
+    much more. Along steep faces patches scatter that do not bend as sharply.
 
     part : (m,) m² of each triangle that counts · scatter_m : (n,) RMS residual of the patch of each
     vertex, m · on_face : (n,) vertices on steep faces · radius_m : how far a patch reaches
@@ -110,7 +112,7 @@ def bush_volume(tin: Tin, part: F64, scatter_m: F64, on_face: Bool, radius_m: fl
         return 0.0
     scatter = scatter_m[tin.triangles].mean(axis=1)
     usual = float(np.median(scatter[some]))
-    far = np.flatnonzero(some & (scatter > BUSH * usual))
+    far = np.flatnonzero(some & (scatter > max(BUSH * usual, BREAK * radius_m)))
     if len(far) and on_face.any():
         corners = tin.vertices[tin.triangles[far]]
         away = np.asarray(cKDTree(tin.vertices[on_face]).query(corners)[0])
