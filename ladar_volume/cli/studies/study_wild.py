@@ -11,6 +11,13 @@ from rich.console import Console
 from ladar_volume.cli.arguments.lines import Verbs
 
 
+def number_of_surveys(text: str) -> int:
+    """One survey or more."""
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text} is no number of surveys")
+    return int(text)
+
+
 def add_wild(studies: Verbs) -> None:
     """Declare the study."""
     parser = studies.add_parser(
@@ -20,17 +27,26 @@ def add_wild(studies: Verbs) -> None:
         "ten seconds each or twenty, and counts errors beyond three printed sigmas that no doubt "
         "names.",
     )
-    parser.add_argument(
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
         "--kind",
         action="append",
         default=[],
         metavar="NAME",
         help="a kind (default: all), or several joined by +",
     )
-    parser.add_argument(
-        "--mixed", type=int, metavar="N", help="N surveys with two or three random kinds each"
+    which.add_argument(
+        "--mixed",
+        type=number_of_surveys,
+        metavar="N",
+        help="N surveys with two or three random kinds each",
     )
-    parser.add_argument("--seeds", type=int, metavar="N", help="surveys of each kind (default 20)")
+    parser.add_argument(
+        "--seeds",
+        type=number_of_surveys,
+        metavar="N",
+        help="surveys of each kind (default 20)",
+    )
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="first seed (1)")
     parser.add_argument("--reduced", action="store_true", help="two surveys of each kind")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/wild"), help="folder")
@@ -55,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = results.output_folder(arguments.output)
     surveys = (
         mixed_surveys(arguments.mixed, arguments.first)
-        if arguments.mixed
+        if arguments.mixed is not None
         else wild_surveys(arguments.kind, seeds, arguments.first)
     )
     for row in surveys:

@@ -313,7 +313,7 @@ def with_cover(
     on_face = steep(survey.points.normal[tin.source])
     radius_m = parameters.filter.radius_m
     bush = 0.0 if known.body else bush_volume(tin, part, scatter, on_face, radius_m)
-    doubts += bush_doubts(bush, volume.sigma_m3)
+    doubts = doubts or bush_doubts(bush, volume.sigma_m3)
     cut, fill = with_net(volume.cut_m3, volume.fill_m3, told)
     volume = dataclasses.replace(
         volume,

@@ -107,17 +107,17 @@ def bush_volume(tin: Tin, part: F64, scatter_m: F64, on_face: Bool, radius_m: fl
     part : (m,) m² of each triangle that counts · scatter_m : (n,) RMS residual of the patch of each
     vertex, m · on_face : (n,) vertices on steep faces · radius_m : how far a patch reaches
     """
-    some = part > 0.0
-    if not some.any():
+    own = np.flatnonzero(part > 0.0)
+    if not len(own):
         return 0.0
-    scatter = scatter_m[tin.triangles].mean(axis=1)
-    usual = float(np.median(scatter[some]))
-    far = np.flatnonzero(some & (scatter > max(BUSH * usual, BREAK * radius_m)))
+    scatter = scatter_m[tin.triangles[own]].mean(axis=1)
+    usual = float(np.median(scatter))
+    far = np.flatnonzero(scatter > max(BUSH * usual, BREAK * radius_m))
     if len(far) and on_face.any():
-        corners = tin.vertices[tin.triangles[far]]
+        corners = tin.vertices[tin.triangles[own[far]]]
         away = np.asarray(cKDTree(tin.vertices[on_face]).query(corners)[0])
         far = far[away.min(axis=1) > radius_m]
-    return float(part[far] @ np.sqrt(scatter[far] ** 2 - usual**2))
+    return float(part[own[far]] @ np.sqrt(scatter[far] ** 2 - usual**2))
 
 
 def bush_doubts(bush_m3: float, sigma_m3: float) -> list[Doubt]:
