@@ -34,6 +34,7 @@ from ladar_volume.model.records import (
     Patches,
     PlatformStates,
     Returns,
+    select,
 )
 from ladar_volume.process.compile_apart import compiled_apart
 from ladar_volume.process.compile_progress import COMPILE_PROGRESS
@@ -134,9 +135,9 @@ def _filter(parameters: Parameters) -> None:
     surface.finish()
 
 
-def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
+def _made_up_surface(side: int, beams: int, seed: int = 1, hole: bool = False) -> FilterUpdate:
     """The mound as a filter would send it: (side, side) patches of 15 cm, each with four points and
-    a block with the next.
+    a block with the next. hole : whether a place on its slope was not seen
     """
     rng, edge, m, p = np.random.default_rng(seed), 0.15, side * side, 6
     key, ones = np.arange(m, dtype=np.int64), np.ones(m)
@@ -168,6 +169,8 @@ def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
         np.full((2 * m, p + 2, 4), 0.1, np.float32),
     )
     points = _made_up_points(key, xy, axes, rng)
+    if hole:
+        points = select(points, np.abs(points.r_map[:, :2] - [0.5, 0.0]).max(axis=1) > 0.25)
     return FilterUpdate(START_NS, key[:0], points, patches)
 
 
@@ -197,8 +200,8 @@ def _volume(parameters: Parameters) -> None:
         "ladar_volume.volume.estimator"
     ).VolumeEstimator(parameters)
     estimator.add_platform(_platform_at_rest(np.array([START_NS, START_NS + BIN_NS], np.int64)))
-    for _ in range(2):  # the second update is merged with the first
-        estimator.add(_made_up_surface(24, parameters.georeference.beams))
+    for hole in (False, True):  # the second update is merged with the first
+        estimator.add(_made_up_surface(24, parameters.georeference.beams, hole=hole))
         _estimate(estimator)
     estimator.set_parameters(
         Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters)

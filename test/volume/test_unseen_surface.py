@@ -7,11 +7,14 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import null_space
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
 from ladar_volume.volume.field_checks import unseen_surface as unseen
 from ladar_volume.volume.field_checks.gap_kriging import (
+    REACH,
     SEEN,
+    SPACINGS,
     ObservedPoints,
     Prediction,
     above_film,
@@ -47,6 +50,34 @@ def seen_around(seed=1, side=2.0, far=7.0, count=1500, height=None, sigma_m=0.01
     xy = xy[np.abs(xy).max(axis=1) > side / 2.0]
     z = np.sin(1.1 * xy[:, 0]) + np.cos(0.9 * xy[:, 1]) if height is None else height(xy)
     return ObservedPoints.of(np.column_stack([xy, z]), np.full(len(xy), sigma_m**2), 0.35)
+
+
+def plain_rim(seen, xy, weight, apart):
+    """:func:`rim_points` by trees and sorted squares."""
+    reach = max(REACH * diameter(weight.sum()), SPACINGS * seen.spacing_m) + apart.max()
+    middle = (weight @ xy) / weight.sum()
+    far = np.hypot(*(xy - middle).T).max() + reach
+    rows = np.array(seen.tree.query_ball_point(middle, far, return_sorted=True), np.int64)
+    if not len(rows):
+        return rows
+    d, at = cKDTree(xy).query(seen.r[rows, :2])
+    rows, side = rows[(d >= apart[at]) & (d <= reach)], seen.spacing_m
+    while len(rows) > SEEN:
+        square = np.floor(seen.r[rows, :2] / side)
+        rows, side = rows[np.sort(np.unique(square, axis=0, return_index=True)[1])], 1.3 * side
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_rim_is_that_of_trees_and_sorted_squares(seed):
+    rng = np.random.default_rng(seed)
+    r = rng.uniform(-20.0, 20.0, (int(rng.integers(0, 4000)), 3))
+    if seed % 4 == 0:
+        r = np.round(2.0 * r) / 2.0  # many in one place
+    xy = rng.uniform(-10.0, 10.0, 2) + rng.normal(0.0, rng.uniform(0.1, 4.0), (30, 2))
+    weight, apart = rng.uniform(0.01, 1.0, 30), rng.uniform(0.0, 1.0, 30) * (seed % 2)
+    seen = ObservedPoints.of(r, np.ones(len(r)), rng.uniform(0.05, 1.0))
+    assert np.array_equal(rim_points(seen, xy, weight, apart), plain_rim(seen, xy, weight, apart))
 
 
 def test_the_integral_of_a_gap_is_the_best_of_all_that_know_nothing_of_planes():

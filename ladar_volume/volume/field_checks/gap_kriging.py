@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ladar_volume.math.equal_rows import distinct_cells
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64
 
 #: Points that predict a gap, at most.
@@ -30,20 +30,22 @@ REACH, SPACINGS = 0.6, 4.0
 class ObservedPoints:
     """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, their usual spacing, m,
     and mean unit vectors (n, 3) to where they were seen from; of no length where these are not
-    known.
+    known. by_x : their rows (n,) from west to east
     """
 
     r: F64
     variance: F64
     spacing_m: float
     tree: cKDTree
+    by_x: I64
     view: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def of(cls, r: F64, variance: F64, spacing_m: float, view: F64 | None = None) -> ObservedPoints:
         """The points with a tree to find them."""
         known = np.zeros((0, 3)) if view is None else view
-        return cls(r, variance, spacing_m, cKDTree(r[:, :2]), known)
+        by_x = np.argsort(r[:, 0], kind="stable")
+        return cls(r, variance, spacing_m, cKDTree(r[:, :2]), by_x, known)
 
 
 @dataclass(frozen=True)
@@ -81,24 +83,55 @@ def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> I64:
     """
     size = diameter(float(weight.sum()))
     reach = max(REACH * size, SPACINGS * seen.spacing_m) + float(apart.max())
-    centre = (weight @ xy) / weight.sum()
-    far = float(np.hypot(*(xy - centre).T).max()) + reach
-    near = np.asarray(seen.tree.query_ball_point(centre, far, return_sorted=True), np.int64)
-    if not len(near):
-        return near
-    d, at = cKDTree(xy).query(seen.r[near, :2])
-    near = near[(np.asarray(d) >= apart[at]) & (np.asarray(d) <= reach)]
-    return thin_to_grid(seen.r[near, :2], near, seen.spacing_m)
+    middle = (weight @ xy) / weight.sum()
+    far = float(np.hypot(*(xy - middle).T).max()) + reach
+    span = (middle[0] - far, middle[0] + far)
+    first, last = np.searchsorted(seen.r[:, 0], span, sorter=seen.by_x)
+    rows = np.sort(seen.by_x[first:last])
+    at = np.ascontiguousarray(seen.r[rows, :2])
+    kept = rim_kernel(at, middle, np.ascontiguousarray(xy), apart, (far, reach, seen.spacing_m))
+    return np.asarray(rows[kept])
 
 
-def thin_to_grid(xy: F64, rows: I64, spacing_m: float) -> I64:
-    """One of ``rows`` (k,) in each square of a grid over xy (k, 2), at most about :data:`SEEN`."""
-    side = spacing_m
-    while len(rows) > SEEN:
-        square = np.floor(xy / side).astype(np.int64)
-        first = np.sort(distinct_cells(square)[0])
-        rows, xy, side = rows[first], xy[first], 1.3 * side
-    return rows
+@kernel
+def rim_kernel(
+    r: F64, middle: F64, place: F64, apart: F64, metres: tuple[float, float, float]
+) -> I64:
+    """Rows (k,), ascending, of points r (n, 2) m: see :func:`rim_points`. metres : how far they
+    are from the middle (2,) at most, and from the nearest place (p, 2), and the first grid's side.
+    """
+    far, reach, side = metres
+    rows, count = np.empty(len(r), np.int64), 0
+    for i in range(len(r)):
+        if (r[i, 0] - middle[0]) ** 2 + (r[i, 1] - middle[1]) ** 2 > far * far:
+            continue
+        best, at = np.inf, 0
+        for k in range(len(place)):
+            d = (r[i, 0] - place[k, 0]) ** 2 + (r[i, 1] - place[k, 1]) ** 2
+            if d < best:
+                best, at = d, k
+        if apart[at] <= math.sqrt(best) <= reach:
+            rows[count] = i
+            count += 1
+    while count > SEEN:  # the first of each square stays
+        square, slots, kept = np.empty((count, 2)), 2, 0
+        while slots < 2 * count:
+            slots *= 2
+        table = np.full(slots, -1, np.int64)
+        for c in range(count):
+            x, y = math.floor(r[rows[c], 0] / side), math.floor(r[rows[c], 1] / side)
+            # primes of Teschner et al. (2003), "Optimized spatial hashing"
+            slot = (int(x) * 73856093 ^ int(y) * 19349663) & (slots - 1)
+            while table[slot] >= 0 and (
+                square[table[slot], 0] != x or square[table[slot], 1] != y
+            ):
+                slot = (slot + 1) & (slots - 1)
+            if table[slot] < 0:
+                table[slot], rows[kept] = kept, rows[c]
+                square[kept, 0], square[kept, 1] = x, y
+                kept += 1
+        count, side = kept, 1.3 * side
+    return rows[:count].copy()
 
 
 def kriging_equations(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -> Kriging | None:
@@ -110,13 +143,19 @@ def kriging_equations(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -
         return None
     middle, scale = r[:, :2].mean(axis=0), float(np.ptp(r[:, :2], axis=0).max())
     p, q = (r[:, :2] - middle) / scale, (xy - middle) / scale
-    n, sign = len(p), 1.0 if power == 3 else -1.0
+    n = len(p)
     A, K = np.zeros((n + 3, n + 3)), np.zeros((n + 3, len(q)))
-    A[:n, :n] = sign * cdist(p, p) ** power
+    A[:n, :n] = covariances(p, p, power)
     A[:n, n], A[:n, n + 1 :] = 1.0, p
     A[n:, :n] = A[:n, n:].T
-    K[:n], K[n], K[n + 1 :] = sign * cdist(p, q) ** power, 1.0, q.T
-    return Kriging(A, K, sign * cdist(q, q) ** power, scale)
+    K[:n], K[n], K[n + 1 :] = covariances(p, q, power), 1.0, q.T
+    return Kriging(A, K, covariances(q, q, power), scale)
+
+
+def covariances(p: F64, q: F64, power: int) -> F64:
+    """Generalised covariances (n, k) between places p (n, 2) and q (k, 2), for c = 1."""
+    d: F64 = cdist(p, q)
+    return d * d * d if power == 3 else -d  # a power takes ten times as long
 
 
 def predict_integral(seen: ObservedPoints, rim: I64, xy: F64, weight: F64) -> Prediction | None:

@@ -108,10 +108,11 @@ def trial_places(seen: ObservedPoints, xy: F64, weight: F64) -> F64:
 def try_gap(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> list[GapTrial]:
     """The gap laid over seen places."""
     out: list[GapTrial] = []
+    filled = FILLED * seen.spacing_m
     for shift in trial_places(seen, xy, weight):
         place = xy + shift
-        d, at = seen.tree.query(place)
-        if float(np.max(d)) > FILLED * seen.spacing_m:
+        d, at = seen.tree.query(place, distance_upper_bound=1.001 * filled)
+        if float(np.max(d)) > filled:
             continue  # not wholly seen
         rim = rim_points(seen, place, weight, apart)
         found = predict_integral(seen, rim, place, weight)
