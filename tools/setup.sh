@@ -59,32 +59,44 @@ fi
     echo "Python 3.11, 3.12 or 3.13 is needed (PYTHON=python3.12 make run chooses one)" >&2
     exit 1
 }
+# machine code is recompiled when its own file changes, not when a kernel it calls does
+find ladar_volume -name '*.nb[ic]' -delete
+compiling=()
+trap 'for process in "${compiling[@]}"; do kill "$process" 2>/dev/null || true; done' EXIT
+compile_kernels() {
+    # once, so that the first survey does not wait for it; stages that share kernels one after the
+    # other
+    echo "Compiling the kernels (a few minutes)"
+    for stages in "volume epochs georeference cloud_volumes" clouds filter; do
+        # shellcheck disable=SC2086
+        .venv/bin/python -m ladar_volume.compile_kernels $stages &
+        compiling+=($!)
+    done
+}
+
 want="$(cat requirements.txt "$wanted" | sha256sum)"
 [ -x .venv/bin/python ] || "$python" -m venv $options .venv
 if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
     echo "Installing Python packages into .venv (a few minutes the first time)"
-    .venv/bin/python -m pip install -q --disable-pip-version-check --no-compile -r "$wanted"
+    install() { .venv/bin/python -m pip install -q --disable-pip-version-check --no-compile "$@"; }
+    # the kernels need these alone, and compile while one core installs the rest
+    pins="$([ "$wanted" = requirements-apt.txt ] && echo "$wanted" || echo requirements.txt)"
+    # shellcheck disable=SC2046
+    install $(grep -E '^(numba|numpy|scipy|pyproj|PyYAML|rich)==' "$pins")
+    compile_kernels
+    install -r "$wanted"
     # pip compiles on one core; some packages bring templates, which do not compile, and much that
     # is imported by nothing here
     .venv/bin/python -m compileall -qq -j 0 -x '/(tests?|plotly|sqlalchemy|v09|v10)/' .venv/lib || true
     echo "$want" >.venv/requirements.sha256
+else
+    compile_kernels
 fi
-# machine code is recompiled when its own file changes, not when a kernel it calls does
-find ladar_volume -name '*.nb[ic]' -delete
 # from the tree, so that commands, nodes and tests share one copy and its machine code; launch and config go where ament looks for them
 .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 .venv/bin/python -W ignore setup.py -q install_data --install-dir=.venv
 rm -rf build ladar_volume.egg-info
 # where the environment forbids Python to write bytecode, every process would compile it anew
 .venv/bin/python -m compileall -q ladar_volume
-# once, so that the first survey does not wait for it
-echo "Compiling the kernels (a few minutes)"
-compiling=()
-# stages that share kernels one after the other
-for stages in "volume epochs georeference cloud_volumes" clouds filter; do
-    # shellcheck disable=SC2086
-    .venv/bin/python -m ladar_volume.compile_kernels $stages &
-    compiling+=($!)
-done
 for process in "${compiling[@]}"; do wait "$process"; done
 touch .venv/ready

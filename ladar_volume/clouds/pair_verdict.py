@@ -39,7 +39,12 @@ from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.completeness import wall_doubts
-from ladar_volume.volume.field_checks.cut_bodies import HIDDEN, cut_at_boundary
+from ladar_volume.volume.field_checks.cut_bodies import (
+    HIDDEN,
+    cut_at_boundary,
+    cut_sides,
+    missing_at_most,
+)
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 from ladar_volume.volume.field_checks.standing_objects import APART_M
 from ladar_volume.volume.field_checks.steep_faces import enclosed_m6, wall_m6
@@ -107,19 +112,21 @@ def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
     return PairGround(tin, found, least, steep_edges(tin, max(FACE_M, least)), cells)
 
 
-def edge_doubts(
-    ground: PairGround, inside: Bool, volume: CloudVolume, outline: bool
-) -> list[Doubt]:
+def with_edge(
+    volume: CloudVolume, ground: PairGround, inside: Bool, outline: bool
+) -> tuple[CloudVolume, list[Doubt]]:
     """The two surfaces are apart where what counts, the triangles ``inside`` (m,) of their
-    difference, ends: at the edge of what both saw, or at an ``outline``.
+    difference, ends: at the edge of what both saw, or at an ``outline``. What may have changed
+    beyond is in sigma but for an outline, which says what is meant.
     """
-    cut = cut_at_boundary(ground.tin, ground.level, inside, ground.least_m)
+    tin, level = ground.tin, ground.level
+    cut = cut_at_boundary(tin, level, inside, ground.least_m)
     if (
         cut is None
         or not ground.unchanged.is_distinguishable
         or cut.hidden_m3 < HIDDEN * volume.sigma_m3
     ):
-        return []
+        return volume, []
     what, todo = (
         ("the outline lies", "draw it around what changed")
         if outline
@@ -130,7 +137,12 @@ def edge_doubts(
         f"({cut.x_m:.1f}, {cut.y_m:.1f}) m: what changed beyond, some {cut.hidden_m3:.2g} m³ or "
         f"more, is not counted; {todo}"
     )
-    return [Doubt("cut", words, cut.hidden_m3)]
+    if not outline:
+        sides = cut_sides(tin, level, inside, ground.least_m)
+        size = volume.cut_m3 + volume.fill_m3
+        missing = missing_at_most(tin, level, inside, sides, size)
+        volume = with_lines(volume, {"cut": missing**2 / 3.0})
+    return volume, [Doubt("cut", words, cut.hidden_m3)]
 
 
 def overlap_area(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:
@@ -228,7 +240,8 @@ def pair_verdict(
         return volume, Verdict(tuple(doubts))
     tin, least = ground.tin, ground.least_m
     within = np.ones(len(tin.triangles), np.bool_) if inside is None else inside
-    doubts += edge_doubts(ground, within, volume, inside is not None)
+    volume, edge = with_edge(volume, ground, within, inside is not None)
+    doubts += edge
     height = tin.vertices[tin.triangles, 2].mean(axis=1) - ground.unchanged.offset_m
     changed = within & (np.abs(height) > least)
     if changed.any():

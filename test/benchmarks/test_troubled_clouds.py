@@ -31,6 +31,12 @@ def test_what_lies_below_the_base_is_in_sigma():
     assert "below_base" in found.reasons and not found.far
 
 
+@pytest.mark.parametrize(("kind", "seed"), [("pair: part", 801), ("pair: cut", 804)])
+def test_what_may_have_changed_beyond_the_edge_of_a_cloud_is_in_sigma(kind, seed):
+    found = answer(kind, seed, 6.0)
+    assert "cut" in found.reasons and found.error < -0.02 and not found.far
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("clean", 301), ("clean", 302), ("pair: clean", 301)])
 def test_a_clean_cloud_is_believed(kind, seed):
     found = answer(kind, seed, 6.0)
