@@ -122,9 +122,7 @@ def rim_kernel(
             x, y = math.floor(r[rows[c], 0] / side), math.floor(r[rows[c], 1] / side)
             # primes of Teschner et al. (2003), "Optimized spatial hashing"
             slot = (int(x) * 73856093 ^ int(y) * 19349663) & (slots - 1)
-            while table[slot] >= 0 and (
-                square[table[slot], 0] != x or square[table[slot], 1] != y
-            ):
+            while table[slot] >= 0 and (square[table[slot], 0] != x or square[table[slot], 1] != y):
                 slot = (slot + 1) & (slots - 1)
             if table[slot] < 0:
                 table[slot], rows[kept] = kept, rows[c]
