@@ -241,7 +241,6 @@ def pair_verdict(
     tin, least = ground.tin, ground.least_m
     within = np.ones(len(tin.triangles), np.bool_) if inside is None else inside
     volume, edge = with_edge(volume, ground, within, inside is not None)
-    doubts += edge
     height = tin.vertices[tin.triangles, 2].mean(axis=1) - ground.unchanged.offset_m
     changed = within & (np.abs(height) > least)
     if changed.any():
@@ -256,4 +255,4 @@ def pair_verdict(
     if inside is None:  # of all that both saw
         more += uniform_doubts(volume, ground.unchanged)
         more += tilt_doubts(volume, ground.cells, ground.unchanged)
-    return volume, Verdict(tuple(doubts + more))
+    return volume, Verdict(tuple(doubts + edge + more))
