@@ -77,6 +77,7 @@ def up(bag, folder, *more):
         "--play",
         str(bag),
         "--json",
+        "--no-figure",
         "-o",
         str(folder),
         "--log",
