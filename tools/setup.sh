@@ -99,4 +99,5 @@ rm -rf build ladar_volume.egg-info
 # where the environment forbids Python to write bytecode, every process would compile it anew
 .venv/bin/python -m compileall -q ladar_volume
 for process in "${compiling[@]}"; do wait "$process"; done
+compiling=()
 touch .venv/ready
