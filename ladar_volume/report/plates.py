@@ -20,10 +20,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
-from ladar_volume.report.scene import Scene, sections_of
+from ladar_volume.report.scene import Scene, Section, sections_of
 
 #: Lines of the budget that are shown.
 LINES = 10
@@ -100,12 +101,19 @@ def polygons(corners: F64, **style: Any) -> PolyCollection:
     return PolyCollection(at, **style)
 
 
-def faces(ax: Axes, scene: Scene, colours: F64 | None = None, **more: Any) -> PolyCollection:
-    """The triangles that count from above; ``more`` as of :func:`polygons`."""
-    given: dict[str, Any] = {} if colours is None else {"facecolors": colours}
-    out = polygons(scene.corners(), **{**WHOLE_PIXELS, "rasterized": True, **given, **more})
-    ax.add_collection(out)
-    return out
+def faces(ax: Axes, scene: Scene, values: F64, **more: Any) -> AxesImage:
+    """The triangles that count from above, by their values (t,) or colours (t, 4); ``more`` as of
+    imshow.
+    """
+    pixels, shown = scene.pixels, scene.pixels.shown
+    image = np.full((*shown.shape, *values.shape[1:]), np.nan if values.ndim == 1 else 0.0)
+    image[shown] = values[pixels.at[shown]]
+    drawn = ax.imshow(
+        image, origin="lower", extent=pixels.extent, zorder=1.0, **more
+    )  # on the grid
+    drawn.sticky_edges.x.clear()
+    drawn.sticky_edges.y.clear()
+    return drawn
 
 
 def finish_map(ax: Axes, scene: Scene, title: str, lines: bool = True) -> None:
@@ -155,7 +163,7 @@ def draw_cut_fill(ax: Axes, scene: Scene) -> None:
         max(float(known.max(initial=0.0)), 0.05 * reach),
     )
     norm = TwoSlopeNorm(0.0, low, high)
-    drawn = faces(ax, scene, array=above, cmap="RdBu", norm=norm)
+    drawn = faces(ax, scene, above, cmap="RdBu", norm=norm)
     bar = ax.figure.colorbar(drawn, ax=ax, label="above the base (cut +, fill −) / m", shrink=0.8)
     bar.set_ticks([t for t in (low, 0.0, high) if t == 0.0 or abs(t) > 0.06 * reach])
     bar.ax.yaxis.set_major_formatter("{x:.2f}")
@@ -169,7 +177,7 @@ def draw_sigma(ax: Axes, scene: Scene) -> None:
     known = mm[np.isfinite(mm)]
     limits = np.percentile(known, SPAN) if len(known) else np.array([0.0, 1.0])
     limits[1] = max(limits[1], 1.1 * limits[0], 1e-3)  # what hardly differs has one colour
-    drawn = faces(ax, scene, array=mm, cmap="YlOrRd", clim=tuple(limits))
+    drawn = faces(ax, scene, mm, cmap="YlOrRd", vmin=limits[0], vmax=limits[1])
     bar = ax.figure.colorbar(drawn, ax=ax, label="sigma of height / mm", shrink=0.8)
     bar.ax.ticklabel_format(useOffset=False)
     for at, (x, y, _) in enumerate(scene.gaps):
@@ -221,23 +229,18 @@ def draw_path(ax: Axes, scene: Scene) -> None:
     finish_map(ax, scene, "Path of the scanner")
 
 
-def draw_section(number: int) -> Callable[..., None]:
-    """How the first or second section is drawn."""
-
-    def draw(ax: Axes, scene: Scene) -> None:
-        s = sections_of(scene)[number]
-        ax.fill_between(s.along_m, s.base_m, s.surface_m, color="#cfe0ef", lw=0)
-        ax.plot(s.along_m, s.surface_m, color=CUT, lw=1.4, label="surface")
-        ax.plot(s.along_m, s.base_m, color=BASE, lw=1.2, ls="--", label="base")
-        (x0, y0), (x1, y1) = s.ends
-        words = f"from {x0:.2f}, {y0:.2f} to {x1:.2f}, {y1:.2f} m"
-        ax.set_title(f"Section {s.name}, {words}", loc="left")
-        ax.set(xlabel="along / m", ylabel="height / m")
-        ax.ticklabel_format(useOffset=False)
-        ax.margins(y=0.12)
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-
-    return draw
+def draw_section(ax: Axes, s: Section) -> None:
+    """A section: surface and base."""
+    ax.fill_between(s.along_m, s.base_m, s.surface_m, color="#cfe0ef", lw=0)
+    ax.plot(s.along_m, s.surface_m, color=CUT, lw=1.4, label="surface")
+    ax.plot(s.along_m, s.base_m, color=BASE, lw=1.2, ls="--", label="base")
+    (x0, y0), (x1, y1) = s.ends
+    words = f"from {x0:.2f}, {y0:.2f} to {x1:.2f}, {y1:.2f} m"
+    ax.set_title(f"Section {s.name}, {words}", loc="left")
+    ax.set(xlabel="along / m", ylabel="height / m")
+    ax.ticklabel_format(useOffset=False)
+    ax.margins(y=0.12)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
 def draw_convergence(ax: Axes, scene: Scene) -> None:
@@ -281,9 +284,9 @@ def plates(scene: Scene, budget_m6: Mapping[str, float]) -> dict[str, str]:
     if scene.path is not None:
         maps["path"] = draw_path
     out = {name: svg(name, partial(draw, scene=scene), 5.6, 4.9) for name, draw in maps.items()}
-    for number in (0, 1):
-        name = f"section-{number + 1}"
-        out[name] = svg(name, partial(draw_section(number), scene=scene), 7.6, 2.6)
+    for number, section in enumerate(sections_of(scene), 1):
+        name = f"section-{number}"
+        out[name] = svg(name, partial(draw_section, s=section), 7.6, 2.6)
     if len(scene.convergence) > 1:
         out["convergence"] = svg("convergence", partial(draw_convergence, scene=scene), 7.6, 2.6)
     if any(value > 0.0 for value in budget_m6.values()):
