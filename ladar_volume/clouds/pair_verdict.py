@@ -42,8 +42,7 @@ from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import (
     HIDDEN,
     cut_at_boundary,
-    cut_sides,
-    missing_at_most,
+    missing_m6,
 )
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 from ladar_volume.volume.field_checks.standing_objects import APART_M
@@ -138,10 +137,9 @@ def with_edge(
         f"more, is not counted; {todo}"
     )
     if not outline:
-        sides = cut_sides(tin, level, inside, ground.least_m)
         size = volume.cut_m3 + volume.fill_m3
-        missing = missing_at_most(tin, level, inside, sides, size)
-        volume = with_lines(volume, {"cut": missing**2 / 3.0})
+        missing = missing_m6(tin, level, inside, ground.least_m, size)
+        volume = with_lines(volume, {"cut": missing})
     return volume, [Doubt("cut", words, cut.hidden_m3)]
 
 

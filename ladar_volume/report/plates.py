@@ -108,9 +108,8 @@ def faces(ax: Axes, scene: Scene, values: F64, **more: Any) -> AxesImage:
     pixels, shown = scene.pixels, scene.pixels.shown
     image = np.full((*shown.shape, *values.shape[1:]), np.nan if values.ndim == 1 else 0.0)
     image[shown] = values[pixels.at[shown]]
-    drawn = ax.imshow(
-        image, origin="lower", extent=pixels.extent, zorder=1.0, **more
-    )  # on the grid
+    # on the grid of the axes, and with a margin around it
+    drawn = ax.imshow(image, origin="lower", extent=pixels.extent, zorder=1.0, **more)
     drawn.sticky_edges.x.clear()
     drawn.sticky_edges.y.clear()
     return drawn

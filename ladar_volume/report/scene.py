@@ -91,8 +91,8 @@ class Scene:
 
     @cached_property
     def pixels(self) -> Pixels:
-        """The triangles that count as a map of pixels: a hundred times faster to draw than they
-        are. Raises :class:`SurfaceError` where there is none.
+        """The triangles that count as a map of pixels, which is drawn faster than as many polygons.
+        Raises :class:`SurfaceError` where there is none.
         """
         index, xy = triangle_index(self.tin, self.counted), self.corners().reshape(-1, 2)
         low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max()) / PIXELS

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ladar_volume.math.kernels import inlined, kernel
+from ladar_volume.math.equal_rows import distinct_rows
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64
 
 #: Points that predict a gap, at most.
@@ -89,38 +90,19 @@ def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> I64:
     first, last = np.searchsorted(seen.r[:, 0], span, sorter=seen.by_x)
     rows = np.sort(seen.by_x[first:last])
     at = np.ascontiguousarray(seen.r[rows, :2])
-    kept = rim_kernel(at, middle, np.ascontiguousarray(xy), apart, (far, reach, seen.spacing_m))
-    return np.asarray(rows[kept])
-
-
-@inlined
-def first_of_squares(r: F64, rows: I64, count: int, side: float) -> int:
-    """Keep the first of ``count`` rows of r (n, 2) in each square of a grid; how many these are."""
-    square, slots, kept = np.empty((count, 2)), 2, 0
-    while slots < 2 * count:
-        slots *= 2
-    table = np.full(slots, -1, np.int64)
-    for c in range(count):
-        x, y = math.floor(r[rows[c], 0] / side), math.floor(r[rows[c], 1] / side)
-        # primes of Teschner et al. (2003), "Optimized spatial hashing"
-        slot = (int(x) * 73856093 ^ int(y) * 19349663) & (slots - 1)
-        while table[slot] >= 0 and (square[table[slot], 0] != x or square[table[slot], 1] != y):
-            slot = (slot + 1) & (slots - 1)
-        if table[slot] < 0:
-            table[slot], rows[kept] = kept, rows[c]
-            square[kept, 0], square[kept, 1] = x, y
-            kept += 1
-    return kept
+    rows = rows[rim_kernel(at, middle, np.ascontiguousarray(xy), apart, (far, reach))]
+    side = seen.spacing_m
+    while len(rows) > SEEN:
+        rows, side = rows[distinct_rows(np.floor(seen.r[rows, :2] / side))], 1.3 * side
+    return rows
 
 
 @kernel
-def rim_kernel(
-    r: F64, middle: F64, place: F64, apart: F64, metres: tuple[float, float, float]
-) -> I64:
+def rim_kernel(r: F64, middle: F64, place: F64, apart: F64, metres: tuple[float, float]) -> I64:
     """Rows (k,), ascending, of points r (n, 2) m: see :func:`rim_points`. metres : how far they
-    are from the middle (2,) at most, and from the nearest place (p, 2), and the first grid's side.
+    are from the middle (2,) at most, and from the nearest place (p, 2)
     """
-    far, reach, side = metres
+    far, reach = metres
     rows, count = np.empty(len(r), np.int64), 0
     for i in range(len(r)):
         if (r[i, 0] - middle[0]) ** 2 + (r[i, 1] - middle[1]) ** 2 > far * far:
@@ -133,8 +115,6 @@ def rim_kernel(
         if apart[at] <= math.sqrt(best) <= reach:
             rows[count] = i
             count += 1
-    while count > SEEN:
-        count, side = first_of_squares(r, rows, count, side), 1.3 * side
     return rows[:count].copy()
 
 
