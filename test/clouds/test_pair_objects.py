@@ -129,3 +129,39 @@ def test_no_thing_no_word(tmp_path, capsys):
     facts = compared(tmp_path, capsys, cloud(1, grown), cloud(2, before))
     assert facts["verdict"]["status"] == "sound" and facts["objects"] == []
     assert holds(facts, GROWN_M3) and facts["sigma_m3"] < 0.3
+
+
+def wood(seed):
+    """Half the returns of a rough wood on a steep slope, from leaves at any height below 9 m."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-60.0, 60.0, (9000, 2))
+    crowns = np.random.default_rng(5).uniform(-60.0, 60.0, (60, 2))
+    near = (np.hypot(*(xy[:, None] - crowns).transpose(2, 0, 1)) < 3.0).any(axis=1)
+    z = 0.5 * xy[:, 0] + rng.normal(0.0, 0.1, len(xy))
+    return np.c_[
+        xy, z + np.where(near & (rng.random(len(xy)) < 0.5), rng.uniform(4, 9, len(xy)), 0)
+    ]
+
+
+def test_a_wood_met_at_other_leaves_is_no_thing_of_one_cloud(tmp_path, capsys):
+    for seed in range(0, 6, 2):
+        facts = compared(tmp_path, capsys, wood(seed), wood(seed + 1))
+        assert facts["objects"] == []
+        assert abs(facts["net_m3"]) < 3.0 * facts["sigma_m3"]
+
+
+def test_a_thing_is_as_large_as_what_its_removal_changes(tmp_path, capsys):
+    for high in (0.9, 2.6):
+        new = cloud(1, grown, truck(11, 9, high=high))
+        (thing,) = compared(tmp_path, capsys, new, cloud(2, before))["objects"]
+        assert thing["volume_m3"] == pytest.approx(15.0 * high, rel=0.06)
+        assert thing["size_m"] == pytest.approx(6.0, abs=0.4)
+        assert thing["high_m"] == pytest.approx(high, abs=0.15)
+
+
+def test_a_thing_of_few_points_has_a_width(tmp_path, capsys):
+    new = cloud(1, grown, truck(11, 9, 2.0, 2.0), density=1.5)
+    (thing,) = compared(tmp_path, capsys, new, cloud(2, before, density=1.5))["objects"]
+    assert 1.0 < thing["size_m"] < 4.0 and "object" in names(
+        compared(tmp_path, capsys, new, cloud(2, before, density=1.5))
+    )

@@ -26,6 +26,7 @@ from ladar_volume.tin.represent import represent
 from ladar_volume.tin.sampled_area import sampled_without_isolated, spacings
 from ladar_volume.volume.base import ZERO
 from ladar_volume.volume.field_checks.standing_objects import (
+    APART_M,
     MOST,
     STEEP,
     any_step,
@@ -48,6 +49,9 @@ STEP, CLEAR = 5.0 / 3.0, 8.0
 HIGHER = 0.5
 #: Edges that join reach over so many spacings.
 REACH = 4.0
+#: Points nearer than so many spacings are of one thing; the surface around it reaches over so many
+#: of these distances.
+APART, AROUND = 2.0, 4.0
 #: Rounds: what leans on a thing is seen when that is gone.
 ROUNDS = 3
 #: Things that are this share of all that rises, or that changed, may be what is measured.
@@ -164,6 +168,18 @@ def nearly_all_above(cleared: CloudSurface, parameters: Parameters) -> bool:
     return taken >= NEARLY_ALL * (taken + left)
 
 
+def objects_of_points(points: F64, taken: Bool, counted: Bool, spacing_m: float) -> Objects:
+    """What stood on a surface of points (n, 3) m, those ``taken`` (n,), above all others around.
+    counted : (n,) points of what counts, some of each place
+    """
+    apart = max(APART_M, APART * spacing_m)
+    rows = beside(points[:, :2], points[taken, :2], AROUND * apart)
+    tin = thinned_tin(points[rows], 0.0, spacing_m)
+    rows = rows[tin.source]
+    own = taken[rows]
+    return objects_of(tin, own, own, counted[rows], apart) if own.any() else ()
+
+
 def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tuple[I64, Objects]:
     """Rows (k,) of the points of a surface that belong to it, and what stands on it, which others
     belong to, the largest first.
@@ -192,8 +208,11 @@ def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tup
             break
         if not standing.any():
             break
-        found += objects_of(tin, standing, standing, inside)
-        kept = kept[~standing_points(points, tin, standing, step, max(step, spacing))]
+        taken = standing_points(points, tin, standing, step, max(step, spacing))
+        counted = np.zeros(len(points), np.bool_)
+        counted[tin.source[vertex_mask(tin, inside)]] = True
+        found += objects_of_points(points, taken, counted, spacing)
+        kept = kept[~taken]
     return kept, tuple(sorted(found, key=lambda one: -one.volume_m3))
 
 

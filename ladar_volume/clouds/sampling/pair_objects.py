@@ -10,6 +10,7 @@ its empty place, they may be what is measured: then they stay, and are named.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,8 +26,9 @@ from ladar_volume.clouds.sampling.cloud_objects import (
     step_of,
     what_stays,
 )
+from ladar_volume.math.nearest import nearest_distances, nearest_index
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import I64, Bool, StandingObject, Tin
+from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas
@@ -41,22 +43,59 @@ from ladar_volume.volume.field_checks.standing_objects import (
 
 #: A thing is new where the other cloud lies lower at this share of its vertices.
 NEW = 0.5
+#: Points of both are the same thing where they are no farther apart than this many times as far as
+#: the next point of their own cloud.
+FAR = 2.0
 
 
 def new_vertices(
-    tin: Tin, standing: Bool, other: Tin, index: TriangleIndex, least_m: float
+    tin: Tin,
+    standing: Bool,
+    surfaces: tuple[CloudSurface, CloudSurface],
+    index: TriangleIndex,
+    least_m: float,
 ) -> Bool:
-    """Vertices (n,) of the things ``standing`` (n,) on a surface that the other one has not."""
+    """Vertices (n,) of the things ``standing`` (n,) on the first of two surfaces, some of whose
+    points ``tin`` joins, that the second has not: it lies lower there, and none of its points is
+    near. index : of the second
+    """
     rows, out = np.flatnonzero(standing), np.zeros(len(standing), np.bool_)
     if not len(rows):
         return out
     r = tin.vertices[rows]
-    higher = r[:, 2] - height_at(other, r[:, :2], index) > least_m  # NaN: not seen by the other
+    below = height_at(surfaces[1].representation.tin, r[:, :2], index)  # NaN: not seen by the other
+    higher = r[:, 2] - below > least_m
+    higher[higher] = far_from(r[higher], *surfaces, least_m)
     pairs = cKDTree(r[:, :2]).query_pairs(APART_M, output_type="ndarray")
     label = parts(len(rows), pairs[:, 0], pairs[:, 1])
     share = np.bincount(label, higher) / np.bincount(label)
     out[rows] = share[label] > NEW
     return out
+
+
+def far_from(places: F64, own: CloudSurface, other: CloudSurface, least_m: float) -> Bool:
+    """Which places (k, 3) m, points of one cloud, are far from all points of the other: farther
+    than that, and than from the next point of their own, strays among them. Two surveys meet the same crown
+    at other leaves, and the surface of one is lower there by chance.
+    """
+    if not len(places):
+        return np.zeros(0, np.bool_)
+    one, two = (np.concatenate([s.points, s.stray_points]) for s in (own, other))
+    next_own = nearest_within(one, places, 2, math.inf)
+    least = np.maximum(least_m, FAR * max(1.0, math.sqrt(len(one) / len(two))) * next_own)
+    out: Bool = nearest_within(two, places, 1, float(least.max())) > least
+    return out
+
+
+def nearest_within(points: F64, places: F64, k: int, reach_m: float) -> F64:
+    """How far (m,) m the k-th nearest of points (n, 3) m is from places (m, 3) m, where that is no
+    more than a reach; infinite or larger elsewhere.
+    """
+    low, high = places.min(axis=0) - reach_m, places.max(axis=0) + reach_m
+    near = points[((points >= low) & (points <= high)).all(axis=1)]
+    if len(near) < k:
+        return np.full(len(places), np.inf)
+    return nearest_distances(nearest_index(near), places, k)
 
 
 def new_on(
@@ -73,7 +112,7 @@ def new_on(
         every = np.ones(len(tin.triangles), np.bool_)
         volume = dataclasses.replace(own.volume, outline="all")
         standing = standing_vertices(tin, ZERO, every, volume, step_m)
-        return new_vertices(tin, standing, below, index, least), every
+        return new_vertices(tin, standing, (surface, other), index, least), every
 
     return what_stays(surface, parameters, find)
 

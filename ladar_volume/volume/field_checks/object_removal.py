@@ -10,6 +10,7 @@ import numpy as np
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, Bool, PatchTable, StandingObject, Volume
+from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.volume.field_checks.standing_objects import (
     bent_vertices,
     objects_of,
@@ -108,7 +109,9 @@ def without_objects(survey: SurveyedSurface, footing: Footing, parameters: Param
     cleared = without_points(found.survey, out, parameters)
     if cleared is None:
         return found
-    return Cleared(*cleared, objects_of(tin, standing, taken, inside), found.mixed)
+    return Cleared(
+        *cleared, objects_of(tin, standing, taken, vertex_mask(tin, inside)), found.mixed
+    )
 
 
 def objects_by_body(

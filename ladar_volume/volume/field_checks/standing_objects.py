@@ -154,23 +154,27 @@ def bent_vertices(tin: Tin, standing: Bool, radius_m: float) -> Bool:
     return out
 
 
-def objects_of(tin: Tin, standing: Bool, taken: Bool, inside: Bool) -> tuple[StandingObject, ...]:
+def objects_of(
+    tin: Tin, standing: Bool, taken: Bool, counted: Bool, apart_m: float = APART_M
+) -> tuple[StandingObject, ...]:
     """What stood on the surface, the largest first: vertices ``standing`` (n,) above those that
-    were not ``taken`` (n,). inside : (m,) triangles that counted with them.
+    were not ``taken`` (n,). counted : (n,) vertices of triangles that counted · apart_m : vertices
+    nearer than this are of one object
     """
     r, rows = tin.vertices, np.flatnonzero(standing)
     area = footprint_areas(r, tin.triangles) / 3.0
     share = np.zeros(len(r))
     for k in range(3):
         share += np.bincount(tin.triangles[:, k], area, len(r))
-    pairs = cKDTree(r[rows, :2]).query_pairs(APART_M, output_type="ndarray")
+    pairs = cKDTree(r[rows, :2]).query_pairs(apart_m, output_type="ndarray")
     label = parts(len(rows), pairs[:, 0], pairs[:, 1])
     rise = rise_above(r[rows], r[~taken])
-    own, found = vertex_mask(tin, inside)[rows], []
+    own, found = counted[rows], []
     for number in range(int(label.max()) + 1):
         at = label == number
         x, y = r[rows[at], :2].mean(axis=0).tolist()
-        size = float(np.ptp(r[rows[at], :2], axis=0).max())
+        wide = math.sqrt(float(share[rows[at]].sum()))  # few vertices stand for their surroundings
+        size = max(float(np.ptp(r[rows[at], :2], axis=0).max()), wide)
         volume = float(share[rows[at]] @ np.maximum(rise[at], 0.0))
         high = float(rise[at].max())
         if volume > 0.0:
