@@ -31,7 +31,7 @@ from ladar_volume.clouds.sampling.pair_registration import (
     with_offset,
 )
 from ladar_volume.clouds.volume_verdict import with_lines
-from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
@@ -42,10 +42,11 @@ from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import (
     HIDDEN,
     cut_at_boundary,
+    cut_sides,
     missing_m6,
 )
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
-from ladar_volume.volume.field_checks.standing_objects import APART_M
+from ladar_volume.volume.field_checks.standing_objects import APART_M, parts
 from ladar_volume.volume.field_checks.steep_faces import enclosed_m6, wall_m6
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
@@ -137,10 +138,28 @@ def with_edge(
         f"more, is not counted; {todo}"
     )
     if not outline:
-        size = volume.cut_m3 + volume.fill_m3
+        size = changed_at_edge_m3(ground, inside)
         missing = missing_m6(tin, level, inside, ground.least_m, size)
         volume = with_lines(volume, {"cut": missing})
     return volume, [Doubt("cut", words, cut.hidden_m3)]
+
+
+def changed_at_edge_m3(ground: PairGround, inside: Bool) -> float:
+    """How much lies between the surfaces in the parts that reach the edge of the triangles
+    ``inside`` (m,), m³: those whose vertices are all apart hang together.
+    """
+    tin, level = ground.tin, ground.level
+    height = np.abs(height_above(tin.vertices, level))
+    t = tin.triangles[inside]
+    apart = height[t] > ground.least_m
+    ends = np.concatenate([t[:, (0, 1)], t[:, (1, 2)], t[:, (2, 0)]])
+    both = np.concatenate([apart[:, (0, 1)], apart[:, (1, 2)], apart[:, (2, 0)]]).all(axis=1)
+    label = parts(len(height), *ends[both].T)
+    at_edge = cut_sides(tin, level, inside, ground.least_m).ends.ravel()
+    at_edge = at_edge[height[at_edge] > ground.least_m]
+    own = (np.isin(label[t], label[at_edge]) & apart).any(axis=1)
+    area = footprint_areas(tin.vertices, t)
+    return float(area[own] @ height[t[own]].mean(axis=1))
 
 
 def overlap_area(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:

@@ -74,9 +74,9 @@ def new_vertices(
 
 
 def far_from(places: F64, own: CloudSurface, other: CloudSurface, least_m: float) -> Bool:
-    """Which places (k, 3) m, points of one cloud, are far from all points of the other: farther
-    than that, and than from the next point of their own, strays among them. Two surveys meet the same crown
-    at other leaves, and the surface of one is lower there by chance.
+    """Which places (k, 3) m, points of one cloud, are far from all points of the other, strays
+    among them: farther than that, and than from the next point of their own. Two surveys meet the
+    same crown at other leaves, and the surface of one is lower there by chance.
     """
     if not len(places):
         return np.zeros(0, np.bool_)
