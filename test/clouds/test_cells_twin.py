@@ -227,7 +227,7 @@ def test_two_planes_in_one_slab_become_one(seed):
     planes = pieces.planes
     for k, tilt in enumerate(rng.uniform(0.02, 0.15, 2) * [1, -1]):
         planes[k] = np.sin(tilt), 0.0, np.cos(tilt), rng.uniform(-0.5, 0.5) * SIGMA
-    assert plane_em.refine(sample_of(x), 0.7, pieces, 2, 8) == 1
+    assert plane_em.refine(sample_of(x), 0.7, pieces, 2, 8, 0.0) == 1
     height, *slope = np.linalg.lstsq(
         np.column_stack([np.ones(len(x)), x[:, :2]]), x[:, 2], rcond=None
     )[0]

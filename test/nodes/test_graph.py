@@ -58,6 +58,8 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, envi
         "--separate",
         "--rate",
         "2",
+        "--set",
+        "node.update_period_s=1",  # the volume at the end is asked for, not those on the way
         "--json",
         "--log",
         str(log),

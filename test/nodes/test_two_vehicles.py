@@ -35,6 +35,8 @@ while not set(sys.argv[1:]) <= set(watcher.lines) or watcher.number("volume_node
     rclpy.spin_once(watcher, timeout_sec=0.1)
     assert time.monotonic() < began + 80.0
 """
+#: The volume at the end is asked for, not those on the way.
+UNHURRIED = ("--set", "node.update_period_s=1")
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node")
 
 
@@ -84,6 +86,7 @@ def up(bag, folder, *more):
         f"{folder}.mcap",
         "--rate",
         "4",
+        *UNHURRIED,
     ]
     return [sys.executable, "-m", "ladar_volume.cli.main", *words, *more]
 

@@ -40,6 +40,10 @@ def as_set(triangles):
     return {tuple(sorted(t)) for t in np.asarray(triangles).tolist()}
 
 
+#: Four vertices, numbered as the triangulation numbers them.
+FOUR = tuple(np.arange(4, dtype=np.int32))
+
+
 def exact_orientation(a, b, c):
     ax, ay, bx, by, cx, cy = (Fraction(float(v)) for p in (a, b, c) for v in p)
     d = (ax - cx) * (by - cy) - (ay - cy) * (bx - cx)
@@ -77,7 +81,7 @@ def test_predicates_have_the_sign_of_rational_arithmetic():
     for p in nearly_degenerate(300, np.random.default_rng(0)):
         got = orientation(*p[0], *p[1], *p[2], w)
         assert np.sign(got) == exact_orientation(p[0], p[1], p[2])
-        assert np.sign(incircle(np.ascontiguousarray(p), 0, 1, 2, 3, w)) == exact_incircle(p)
+        assert np.sign(incircle(np.ascontiguousarray(p), *FOUR, w)) == exact_incircle(p)
 
 
 def test_exact_branch_alone_agrees_with_rational_arithmetic():
@@ -86,7 +90,7 @@ def test_exact_branch_alone_agrees_with_rational_arithmetic():
         2
     ).integers(-6, 7, (100, 4, 1)):
         assert np.sign(
-            predicates.incircle_exact(np.ascontiguousarray(p), 0, 1, 2, 3, w)
+            predicates.incircle_exact(np.ascontiguousarray(p), *FOUR, w)
         ) == exact_incircle(p)
         assert np.sign(predicates.orientation_exact(*p[0], *p[1], *p[2], w)) == exact_orientation(
             p[0], p[1], p[2]
@@ -97,12 +101,12 @@ def test_exact_branch_alone_agrees_with_rational_arithmetic():
 def test_the_short_branch_answers_where_nothing_rounds_and_only_there():
     rng = np.random.default_rng(11)
     for p in rng.integers(-50, 50, (100, 4, 2)).astype(float):
-        assert np.sign(predicates.incircle_short(p, 0, 1, 2, 3)) == exact_incircle(p)
+        assert np.sign(predicates.incircle_short(p, *FOUR)) == exact_incircle(p)
     for p in rng.random((100, 4, 2)):
-        assert np.isnan(predicates.incircle_short(p, 0, 1, 2, 3))
+        assert np.isnan(predicates.incircle_short(p, *FOUR))
     assert (
         predicates.incircle_short(
-            np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 2.0**-30 + 2.0**20, 0, 1, 2, 3
+            np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 2.0**-30 + 2.0**20, *FOUR
         )
         == 0.0
     )
@@ -113,15 +117,12 @@ def test_corners_of_an_upright_rectangle_are_cocircular_in_any_order():
     w = workspace()
     for order in permutations(range(4)):
         p = corners[list(order)]
-        assert incircle(p, 0, 1, 2, 3, w) == 0.0 == exact_incircle(p)
-        assert (
-            sum(predicates.is_rectangle(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)))
-            == 1
-        )
+        assert incircle(p, *FOUR, w) == 0.0 == exact_incircle(p)
+        a, b, c, d = FOUR
+        opposite = ((a, b, c, d), (a, c, b, d), (a, d, b, c))
+        assert sum(predicates.is_rectangle(p, *q) for q in opposite) == 1
         p[0, 1] += 1e-9
-        assert not any(
-            predicates.is_rectangle(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
-        )
+        assert not any(predicates.is_rectangle(p, *q) for q in opposite)
 
 
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 10, 50, 1000, 5000])

@@ -344,7 +344,7 @@ def _covariances(sample: PointSample, pieces: Pieces, count: int, shares: Shares
 
 @kernel
 def refine(
-    sample: PointSample, reach: float, pieces: Pieces, count: int, rounds: int, across: float = 0.0
+    sample: PointSample, reach: float, pieces: Pieces, count: int, rounds: int, across: float
 ) -> Any:
     """Share out the points within ``reach`` and refit all planes, in turn until none moves
     (expectation and maximisation), for ``rounds`` at most, and as many again after a plane is
