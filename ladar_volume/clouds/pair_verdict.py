@@ -25,9 +25,9 @@ from ladar_volume.clouds.sampling.pair_registration import (
     CellMeans,
     UnchangedPart,
     cell_means,
-    tilt_doubts,
+    registration_doubts,
     unchanged_cells,
-    uniform_doubts,
+    unit_doubts,
     with_offset,
 )
 from ladar_volume.clouds.volume_verdict import with_lines
@@ -253,6 +253,7 @@ def pair_verdict(
     things = [one for k in (0, 1) for one in objects_within(surfaces[k], areas[k])]
     doubts += new_object_doubts(things, volume.sigma_m3)
     doubts += [doubt for s in surfaces if s.given_faces is None for doubt in s.doubts]
+    doubts += unit_doubts(surfaces[0].points, surfaces[1].points)
     if ground is None:
         return volume, Verdict(tuple(doubts))
     tin, least = ground.tin, ground.least_m
@@ -270,6 +271,5 @@ def pair_verdict(
         volume = with_lines(volume, {"outline": outline})
     volume, more = with_offset(volume, ground.unchanged)
     if inside is None:  # of all that both saw
-        more += uniform_doubts(volume, ground.unchanged)
-        more += tilt_doubts(volume, ground.cells, ground.unchanged)
+        more += registration_doubts(volume, ground.cells, ground.unchanged)
     return volume, Verdict(tuple(doubts + edge + more))

@@ -6,7 +6,11 @@ import pytest
 from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.clouds.cloud_volume import between_clouds
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
-from ladar_volume.clouds.sampling.pair_registration import CellMeans, plane_through
+from ladar_volume.clouds.sampling.pair_registration import (
+    CellMeans,
+    plane_through,
+    unit_doubts,
+)
 from ladar_volume.clouds.volume_verdict import counted_areas
 from ladar_volume.model.surface_parameters import SurfaceParameters
 
@@ -90,3 +94,32 @@ def test_the_plane_through_cells_and_its_sigma(sides):
     assert np.mean(slopes, axis=0) == pytest.approx([0.004, -0.01], abs=2e-4)
     # neighbours count as one, so that it is twice what independent cells would have
     assert 1.2 < np.mean(told) / np.std(slopes, axis=0).max() < 3.0
+
+
+@pytest.mark.parametrize("step_m", [0.02, 0.1])
+@pytest.mark.parametrize("beyond", [lambda x, y: x > 4.0, lambda x, y: x + y > 14.0])
+def test_a_strip_whose_heights_are_off_is_named(step_m, beyond):
+    # without the doubt an error of 70 to 260 sigmas was sound
+    _, found = doubts(cloud(9), cloud(10, lambda x, y: step_m * beyond(x, y)))
+    assert found["offset"].value == pytest.approx(-step_m, rel=0.1)
+    assert "strip" in found["offset"].text
+
+
+def test_what_is_heaped_up_is_no_strip():
+    for heap in (
+        lambda x, y: np.clip(2.0 - 0.5 * np.hypot(x - 9, y), 0.0, 1.5),  # a flat top
+        lambda x, y: 0.4 * ((abs(x - 8) < 6) & (abs(y) < 7)),  # a thick layer
+        lambda x, y: np.maximum(0.0, 0.8 - 0.09 * np.hypot(x - 9, y - 9)),
+    ):
+        _, found = doubts(cloud(11, heap), cloud(12))
+        assert "offset" not in found
+
+
+@pytest.mark.parametrize("times, unit", [(1.0 / 0.3048, "feet"), (1000.0, "millimetres")])
+def test_clouds_in_two_units_are_named(times, unit):
+    rng = np.random.default_rng(13)
+    one, two = rng.uniform(0.0, [60.0, 40.0, 3.0], (2, 4000, 3))
+    (doubt,) = unit_doubts(times * one, two)
+    assert unit in doubt.text and "first" in doubt.text
+    assert "second" in unit_doubts(two, times * one)[0].text
+    assert unit_doubts(one, two) == [] and unit_doubts(one * [times, 1.0, 1.0], two) == []

@@ -34,6 +34,12 @@ CHANCE, MATTERS = 3.0, 2.0
 #: A layer thinner than this share of the width of what both saw may be an offset, and a slope
 #: flatter than the second may be a tilt, of the registration.
 THIN, FLAT = 0.01, 0.02
+#: A layer on a part: this share of the cells at least, whose means lie within this share of its
+#: thickness.
+PART, EVEN = 0.1, 0.15
+#: How many of a unit a metre has; sizes of one place that differ by such a factor to within this.
+UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
+ALIKE_SIZES = 0.05
 #: A plane explains the difference where this share of the area lies on it, and where it leaves less
 #: than the second share of the scatter.
 MOST_OF_IT, LEFT = 0.6, 0.5
@@ -57,6 +63,22 @@ class UnchangedPart:
     def is_distinguishable(self) -> bool:
         """Whether enough did not change, and enough did, to tell the two apart."""
         return self.named or (self.share >= SAME and self.changed >= OTHER)
+
+
+def unit_doubts(one: F64, two: F64) -> list[Doubt]:
+    """One of two clouds (n, 3), (m, 3) m is as many times as wide and as long as the other as a
+    unit of length has metres.
+    """
+    wide = np.ptp(one[:, :2], axis=0) / np.maximum(np.ptp(two[:, :2], axis=0), 1e-300)
+    for unit, times in UNITS.items():
+        for first, ratio in (("first", wide), ("second", 1.0 / np.maximum(wide, 1e-300))):
+            if (np.abs(ratio / times - 1.0) < ALIKE_SIZES).all():
+                words = (
+                    f"the {first} cloud is {times:.4g} times as wide and as long as the other: are "
+                    f"its coordinates {unit}? write both in one unit, or name the CRS in each file"
+                )
+                return [Doubt("units", words, times)]
+    return []
 
 
 class CellMeans(NamedTuple):
@@ -149,6 +171,40 @@ def uniform_doubts(volume: CloudVolume, found: UnchangedPart) -> list[Doubt]:
     return [Doubt("offset", words, found.offset_m)]
 
 
+def level_doubts(volume: CloudVolume, cells: CellMeans, found: UnchangedPart) -> list[Doubt]:
+    """A part of what both saw is apart by one thin layer, nearly as even as what did not change: a
+    strip of a flight whose heights are off looks so.
+    """
+    away = np.abs(cells.mean - found.offset_m)
+    far = np.flatnonzero(away > CHANGED * found.scatter_m)
+    count = math.ceil(PART * len(cells.mean))
+    if found.named or not found.is_distinguishable or len(far) < count:
+        return []
+    order = far[np.argsort(cells.mean[far])]
+    mean = cells.mean[order]
+    spans = mean[count - 1 :] - mean[: len(mean) - count + 1]
+    first = int(np.argmin(spans))
+    level = float(np.median(mean[first : first + count]))
+    even = max(CHANCE * found.scatter_m, EVEN * abs(level - found.offset_m))
+    own = order[np.abs(mean - level) <= even]
+    area, thick = float(cells.area[own].sum()), level - found.offset_m
+    effect = thick * area
+    if (
+        float(spans[first]) > even
+        or abs(thick) > THIN * math.sqrt(area)
+        or abs(effect) <= MATTERS * volume.sigma_m3
+    ):
+        return []
+    x, y = (cells.low + cells.side * (np.median(cells.cell[own], axis=0) + 0.5)).tolist()
+    words = (
+        f"over {area:.3g} m² about ({x:.1f}, {y:.1f}) m the two clouds are {1e3 * thick:.3g} mm "
+        f"further apart than elsewhere, evenly: {effect:.4g} m³ are a layer that was laid or taken "
+        "there, or a strip of one flight whose heights are off; look at that place, or adjust the "
+        "strips"
+    )
+    return [Doubt("offset", words, thick)]
+
+
 class FittedPlane(NamedTuple):
     """Through the means of cells. slope : (2,) · sigma : of either slope · scatter_m : of the means
     about it · on_it : (k,) cells that lie on it
@@ -208,3 +264,12 @@ def tilt_doubts(volume: CloudVolume, cells: CellMeans, found: UnchangedPart) -> 
         "nobody graded the place; register the clouds again"
     )
     return [Doubt("tilt", words, slope)]
+
+
+def registration_doubts(volume: CloudVolume, cells: CellMeans, found: UnchangedPart) -> list[Doubt]:
+    """What of all that both saw may be their registration: the whole, a part, or a tilt."""
+    return [
+        *uniform_doubts(volume, found),
+        *level_doubts(volume, cells, found),
+        *tilt_doubts(volume, cells, found),
+    ]
