@@ -12,6 +12,8 @@ from scipy.spatial.distance import cdist, pdist
 
 from ladar_volume.volume.field_checks import unseen_surface as unseen
 from ladar_volume.volume.field_checks.gap_kriging import (
+    LONG,
+    MORE,
     REACH,
     SEEN,
     SPACINGS,
@@ -52,9 +54,11 @@ def seen_around(seed=1, side=2.0, far=7.0, count=1500, height=None, sigma_m=0.01
     return ObservedPoints.of(np.column_stack([xy, z]), np.full(len(xy), sigma_m**2), 0.35)
 
 
-def plain_rim(seen, xy, weight, apart):
+def plain_rim(seen, xy, weight, apart, wide):
     """:func:`rim_points` by trees and sorted squares."""
-    reach = max(REACH * diameter(weight.sum()), SPACINGS * seen.spacing_m) + apart.max()
+    size = min(diameter(weight.sum()), LONG * wide)
+    most = min(MORE * SEEN, SEEN * diameter(weight.sum()) / size)
+    reach = max(REACH * size, SPACINGS * seen.spacing_m) + apart.max()
     middle = (weight @ xy) / weight.sum()
     far = np.hypot(*(xy - middle).T).max() + reach
     rows = np.array(seen.tree.query_ball_point(middle, far, return_sorted=True), np.int64)
@@ -62,7 +66,7 @@ def plain_rim(seen, xy, weight, apart):
         return rows
     d, at = cKDTree(xy).query(seen.r[rows, :2])
     rows, side = rows[(d >= apart[at]) & (d <= reach)], seen.spacing_m
-    while len(rows) > SEEN:
+    while len(rows) > most:
         square = np.floor(seen.r[rows, :2] / side)
         rows, side = rows[np.sort(np.unique(square, axis=0, return_index=True)[1])], 1.3 * side
     return rows
@@ -77,7 +81,9 @@ def test_the_rim_is_that_of_trees_and_sorted_squares(seed):
     xy = rng.uniform(-10.0, 10.0, 2) + rng.normal(0.0, rng.uniform(0.1, 4.0), (30, 2))
     weight, apart = rng.uniform(0.01, 1.0, 30), rng.uniform(0.0, 1.0, 30) * (seed % 2)
     seen = ObservedPoints.of(r, np.ones(len(r)), rng.uniform(0.05, 1.0))
-    assert np.array_equal(rim_points(seen, xy, weight, apart), plain_rim(seen, xy, weight, apart))
+    wide = math.inf if seed % 3 == 0 else rng.uniform(0.1, 3.0)
+    found = rim_points(seen, xy, weight, apart, wide)
+    assert np.array_equal(found, plain_rim(seen, xy, weight, apart, wide))
 
 
 def test_the_integral_of_a_gap_is_the_best_of_all_that_know_nothing_of_planes():
@@ -85,7 +91,7 @@ def test_the_integral_of_a_gap_is_the_best_of_all_that_know_nothing_of_planes():
     of the planes, not by Lagrange's equations.
     """
     seen, (place, weight) = seen_around(), gap()
-    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    rim = rim_points(seen, place, weight, np.zeros(len(place)), math.inf)
     p = seen.r[rim, :2]
     planes = np.column_stack([np.ones(len(p)), p])
     held = np.linalg.lstsq(planes.T, np.array([4.0, 0.0, 0.0]), rcond=None)[0]
@@ -107,7 +113,7 @@ def test_chords_are_as_tight_as_a_soap_film_at_points():
     within what surrounds it.
     """
     seen, (place, weight) = seen_around(), gap()
-    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    rim = rim_points(seen, place, weight, np.zeros(len(place)), math.inf)
     at_points = predict_heights(seen, rim, seen.r[rim, :2], 1)
     np.testing.assert_allclose(at_points, seen.r[rim, 2], atol=1e-8)
     z = predict_heights(seen, rim, place, 1)
@@ -131,17 +137,17 @@ def test_a_gap_in_other_units_is_the_same_gap(s):
 def test_rim_points_lie_around_the_gap_beyond_what_is_apart_and_within_reach():
     seen, (place, weight) = seen_around(count=300), gap(count=10)
     for apart in (0.0, 0.6):
-        rim = rim_points(seen, place, weight, np.full(len(place), apart))
+        rim = rim_points(seen, place, weight, np.full(len(place), apart), math.inf)
         # a circle of the gap's area, or four spacings, whichever is more
         reach = max(0.6 * math.sqrt(4.0 * 4.0 / math.pi), 4.0 * 0.35) + apart
         d = cdist(seen.r[:, :2], place).min(axis=1)
         assert sorted(rim) == np.flatnonzero((d >= apart) & (d <= reach)).tolist()
     many = seen_around(count=20_000)
-    rim = rim_points(many, place, weight, np.zeros(len(place)))
+    rim = rim_points(many, place, weight, np.zeros(len(place)), math.inf)
     assert SEEN / 3 < len(rim) <= SEEN and len(set(rim)) == len(rim)
     sectors = np.bincount((np.arctan2(*many.r[rim, :2].T) // (math.pi / 4)).astype(int) + 4)
     assert sectors.min() > len(rim) / 24  # from all sides
-    nothing = rim_points(many, place + 1000.0, weight, np.zeros(len(place)))
+    nothing = rim_points(many, place + 1000.0, weight, np.zeros(len(place)), math.inf)
     assert len(nothing) == 0
 
 
@@ -258,7 +264,7 @@ def test_the_variance_of_a_gap_is_of_its_roughness_its_noise_and_its_bulge(told)
 def test_slopes_of_loose_material_bound_a_gap(told):
     of, _ = told
     seen, (place, weight) = seen_around(height=level), gap()
-    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    rim = rim_points(seen, place, weight, np.zeros(len(place)), unseen.width_of(np.array([0.2])))
     room = 2.0 * weight @ cdist(place, seen.r[rim, :2]).min(axis=1)  # at 45 degrees, up and down
     bound = room**2 / 12.0  # anywhere between, with the same probability
     assert of(level, 5.0).variance_m6 == pytest.approx(bound)
@@ -275,7 +281,7 @@ def test_the_heights_around_bound_a_gap_beside_a_wall(told):
     """One trial that was next to certain and wrong says nothing of metres beyond the rim."""
     of, _ = told
     seen, (place, weight) = seen_around(height=steep), gap()
-    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    rim = rim_points(seen, place, weight, np.zeros(len(place)), unseen.width_of(np.array([0.2])))
     bound = (4.0 * np.ptp(seen.r[rim, 2])) ** 2 / 12.0
     found = of(steep, 5.0, *5 * [GapTrial(0.1, 1.0, 0.0)], GapTrial(0.1, 1e-6, 0.0))
     assert found.variance_m6 == pytest.approx(bound)
@@ -309,7 +315,7 @@ def test_where_a_surface_falls_between_two_levels_is_not_known():
     def told(height):
         r = np.column_stack([xy, height(xy[:, 0])])
         seen = ObservedPoints.of(r, np.full(len(r), 1e-8), 0.2)
-        rim = rim_points(seen, place, weight, np.zeros(len(place)))
+        rim = rim_points(seen, place, weight, np.zeros(len(place)), math.inf)
         return FALLS * swing_m6(seen, rim, place, weight) ** 0.5
 
     for high in (0.9, 1.15):
@@ -327,7 +333,7 @@ def test_noise_is_no_fall():
     noisy = seen_around(
         height=lambda p: 0.2 * p[:, 0] + rng.normal(0.0, 0.05, len(p)), sigma_m=0.05
     )
-    rim = rim_points(noisy, place, weight, np.zeros(len(place)))
+    rim = rim_points(noisy, place, weight, np.zeros(len(place)), math.inf)
     assert swing_m6(noisy, rim, place, weight) == 0.0
     sure = ObservedPoints.of(noisy.r, 1e-12 * noisy.variance, noisy.spacing_m)
     assert swing_m6(sure, rim, place, weight) > 1e-5
@@ -335,7 +341,7 @@ def test_noise_is_no_fall():
 
 def test_a_film_is_below_the_smooth_surface_by_what_both_predict():
     seen, (place, weight) = seen_around(), gap()
-    rim = rim_points(seen, place, weight, np.zeros(len(place)))
+    rim = rim_points(seen, place, weight, np.zeros(len(place)), math.inf)
     above, noise = above_film(seen, rim, place)
     smooth, film = (predict_heights(seen, rim, place, power) for power in (3, 1))
     np.testing.assert_allclose(above, smooth - film, atol=1e-9)
@@ -360,3 +366,29 @@ def test_too_few_points_or_points_on_a_line_tell_nothing():
     seen = ObservedPoints.of(line, np.ones(8), 1.0)
     assert predict_integral(seen, np.arange(8), place, weight) is None
     assert unseen_surface(seen, place + 900.0, weight, apart, apart) is None
+
+
+@pytest.mark.parametrize("arc", [math.pi, 2.0 * math.pi])
+def test_a_moat_around_a_pile_is_seen_by_its_width(arc):
+    """The slopes at either side of a long gap tell where the toe is; points taken as far apart as
+    the gap is long made errors of up to 16 standard deviations.
+    """
+    rng = np.random.default_rng(70)
+    xy = rng.uniform(-15.0, 15.0, (14_000, 2))
+    radius, angle = np.hypot(*xy.T), np.abs(np.arctan2(xy[:, 1], xy[:, 0]))
+    true = np.maximum(0.0, 5.0 - 0.625 * radius)
+    moat = (np.abs(radius - 8.0) < 1.75) & (angle <= arc / 2.0)
+    seen = ObservedPoints.of(
+        np.column_stack([xy, true + rng.normal(0.0, 0.015, len(xy))])[~moat],
+        np.full(np.count_nonzero(~moat), 0.015**2),
+        0.25,
+    )
+    place = xy[moat][::20]
+    weight = np.full(len(place), 3.5 * 8.0 * arc / len(place))
+    apart = unseen.APART * seen.tree.query(place)[0]
+    z = np.maximum(0.0, 5.0 - 0.625 * np.hypot(*place.T))
+    chord = 1.09 - (np.hypot(*place.T) - 6.25) * 1.09 / 3.5
+    found = unseen_surface(seen, place, weight, apart, chord)
+    error = found.volume_m3 - float(weight @ z)
+    assert abs(error) < 2.5 * math.sqrt(found.variance_m6)
+    assert abs(error) < 0.6 * float(weight @ (chord - z))

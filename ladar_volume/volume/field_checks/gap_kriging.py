@@ -25,6 +25,9 @@ SEEN = 110
 #: They do from this distance on, in diameters of a circle of its area, and no less than so many
 #: spacings.
 REACH, SPACINGS = 0.6, 4.0
+#: A gap is long where that circle is more than so many times as wide as the widest one in the gap;
+#: up to so many times as many points predict it.
+LONG, MORE = 1.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -77,12 +80,14 @@ def diameter(area_m2: float) -> float:
     return 2.0 * math.sqrt(area_m2 / math.pi)
 
 
-def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> I64:
+def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64, wide_m: float) -> I64:
     """Points (k,) around a gap of places xy (k, 2) m with areas weight (k,) m², but not in it: each
     further from its places than ``apart`` (k,) m, and one of each square of a grid, so many that
-    they are few.
+    they are few. wide_m : of the widest circle in it: the rim of a long gap is seen by its width
     """
-    size = diameter(float(weight.sum()))
+    round_m = diameter(float(weight.sum()))
+    size = min(round_m, LONG * wide_m)
+    most = SEEN * min(round_m / max(size, 1e-9), MORE)
     reach = max(REACH * size, SPACINGS * seen.spacing_m) + float(apart.max())
     middle = (weight @ xy) / weight.sum()
     far = float(np.hypot(*(xy - middle).T).max()) + reach
@@ -92,7 +97,7 @@ def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> I64:
     at = np.ascontiguousarray(seen.r[rows, :2])
     rows = rows[rim_kernel(at, middle, np.ascontiguousarray(xy), apart, (far, reach))]
     side = seen.spacing_m
-    while len(rows) > SEEN:
+    while len(rows) > most:
         rows, side = rows[distinct_rows(np.floor(seen.r[rows, :2] / side))], 1.3 * side
     return rows
 

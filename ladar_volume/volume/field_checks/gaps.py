@@ -25,6 +25,7 @@ from ladar_volume.volume.field_checks.gap_kriging import (
     ObservedPoints,
 )
 from ladar_volume.volume.field_checks.unseen_surface import (
+    APART,
     CELLS,
     UnseenVolume,
     unseen_surface,
@@ -230,7 +231,7 @@ def gap_of(
     share = inside_m2[rows] / np.maximum(footprint_areas(tin.vertices, tin.triangles[rows]), 1e-300)
     xy, weight, height = places_of(corners, np.clip(share, 0.0, 1.0))
     d = np.asarray(seen.tree.query(xy)[0])
-    found = unseen_surface(seen, xy, weight, 0.8 * d, height)
+    found = unseen_surface(seen, xy, weight, APART * d, height)
     x, y = ((weight @ xy) / weight.sum()).tolist()
     size = np.ptp(tin.vertices[np.unique(tin.triangles[rows]), :2], axis=0)
     more = 0.0 if found is None else found.volume_m3 - float(weight @ height)

@@ -30,6 +30,8 @@ from ladar_volume.volume.field_checks.sight_lines import shadow_heights
 
 #: Places of a gap where its surface is predicted, at most.
 CELLS = 80
+#: No point of a gap laid over seen places is nearer to a place than so much of what is in the gap.
+APART = 0.8
 #: Places over which the gap is laid, at most, within so many of its diameters; sizes that are tried
 #: until there are enough of them.
 TRIALS, AWAY, SIZES, ENOUGH = 12, 2.5, (1.0, 0.7, 0.5, 0.35), 6
@@ -69,6 +71,11 @@ class UnseenVolume:
     volume_m3: float
     variance_m6: float
     trials: int
+
+
+def width_of(apart: F64) -> float:
+    """Of the widest circle in a gap, m; apart : (k,) m as for :func:`unseen_surface`."""
+    return 2.0 * float(apart.max()) / APART
 
 
 def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
@@ -114,7 +121,7 @@ def try_gap(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> list[GapT
         d, at = seen.tree.query(place, distance_upper_bound=1.001 * filled)
         if float(np.max(d)) > filled:
             continue  # not wholly seen
-        rim = rim_points(seen, place, weight, apart)
+        rim = rim_points(seen, place, weight, apart, width_of(apart))
         found = predict_integral(seen, rim, place, weight)
         if found is None or found.unit_m6 <= 0.0:
             continue
@@ -197,7 +204,7 @@ def unseen_surface(
     gap); where they end at the rim it lies as low as the chords. So half of the difference between
     smooth surface and chords counts as a standard deviation, less where seen places tell otherwise.
     """
-    rim = rim_points(seen, xy, weight, np.zeros(len(xy)))
+    rim = rim_points(seen, xy, weight, np.zeros(len(xy)), width_of(apart))
     shade = shadow_of(seen, rim, xy, weight)
     lit = np.where(shade.dark, 0.0, weight)
     found = predict_integral(seen, rim, xy, lit)
