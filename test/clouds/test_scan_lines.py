@@ -327,3 +327,16 @@ def test_strays_do_not_pass_one_another_on():
     known = np.arange(len(r)) < 400
     stays = connected_to_known(r, known, second_neighbour_distance(r), ~known, 4.0)
     assert stays[400:800].mean() > 0.99 and stays[800:].mean() < 0.05
+
+
+@pytest.mark.filterwarnings("error")
+def test_drawn_points_without_noise_are_no_division_by_zero():
+    rng = np.random.default_rng(90)
+    angle, z = rng.uniform(0.0, 2.0 * np.pi, 1500), rng.uniform(0.0, 2.0, 1500)
+    ground = rng.uniform(-6.0, 6.0, (2250, 2))
+    ground = ground[np.hypot(*ground.T) > 0.8]
+    side = np.column_stack([0.8 * np.cos(angle), 0.8 * np.sin(angle), z])
+    cloud = np.concatenate([side, np.column_stack([ground, np.zeros(len(ground))])])
+    cloud = cloud[(cloud[:, 0] > -0.2) | (cloud[:, 2] == 0.0)]
+    done = filter_cloud(cloud, FilterParameters(), auto=True)
+    assert len(done.r) > 0.7 * len(cloud) and np.isfinite(done.r).all()

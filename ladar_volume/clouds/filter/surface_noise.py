@@ -4,6 +4,7 @@ surface changes with the angle at which beams meet it, and surfaces show it plac
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,8 @@ SET_OFF = np.array([0.35, 0.2289, 0.4127])
 KNOWN = 0.7
 #: A surface that keeps its points lies no farther from the truth than this many times their noise.
 FARTHEST = 2.0
+#: Least noise, over the extent of the cloud.
+ROUNDING = 1e-12
 
 
 def project_with_own_noise(
@@ -38,6 +41,7 @@ def project_with_own_noise(
     """
     if not tuned.noise_known:
         return tuned, project_on_cells(r, tuned.regions, parameters, tuned.degree)
+    tuned = _with_noise(tuned, float(np.ptp(r, axis=0).max(initial=0.0)))
     off = tuned.regions.ball_m[-1] * SET_OFF
     before = project_on_cells(r + off, tuned.regions, parameters, tuned.degree)
     before = replace(before, q=before.q - off)
@@ -66,6 +70,13 @@ def project_with_own_noise(
     )
 
 
+def _with_noise(tuned: Tuning, extent_m: float) -> Tuning:
+    """With noise no less than rounding leaves: drawn points have none."""
+    regions = tuned.regions
+    least = np.maximum(regions.sigma_m, ROUNDING * extent_m)
+    return replace(tuned, regions=replace(regions, sigma_m=least))
+
+
 def disagreement(one: Projection, two: Projection, variance: F64) -> F64:
     """Variance (n,) m² that two covers on different grids show beyond ``variance``, that of the
     noise: where a surface bends or ends between few lines, each cell draws it its own way.
@@ -85,5 +96,5 @@ def _noise_of_surfaces(r: F64, tuned: Tuning, projection: Projection, steps: F64
     each = surface_noise(distance, projection.variance / believed**2, found, believed, where)
     if not np.isfinite(each).any():
         return believed
-    floor = np.sqrt(np.mean(steps**2) / 12.0)
+    floor = max(math.sqrt(np.mean(steps**2) / 12.0), ROUNDING * float(np.ptp(r, axis=0).max()))
     return np.asarray(np.maximum(point_noise(each, where, float(np.nanmedian(each))), floor))
