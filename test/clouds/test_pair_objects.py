@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -100,9 +101,12 @@ def test_what_stands_on_both_stays(tmp_path, capsys):
     assert facts["objects"] == [] and holds(facts, GROWN_M3)
 
 
+COUNT = ("--set", "volume.objects=count")
+
+
 def test_things_are_counted_on_request(tmp_path, capsys):
     new, old = THINGS["a truck came"]
-    for options in (("--clean", "off"), ("--set", "volume.objects=count")):
+    for options in (("--clean", "off"), COUNT):
         facts = compared(tmp_path, capsys, new, old, *options)
         assert facts["net_m3"] > GROWN_M3 + 30.0 and facts["objects"] == []
 
@@ -169,6 +173,20 @@ def test_a_thing_of_one_place_has_a_width():
     r = np.c_[x.ravel(), y.ravel(), np.zeros(81)]
     r[40, 2] = 6.0
     top, every = r[:, 2] > 0.0, np.ones(81, bool)
-    (one,) = objects_of(build_tin(r), top, top, every)
+    (one,) = objects_of(build_tin(r), top, top, every, np.zeros(1, np.int64))
     assert one.size_m == pytest.approx(1.0, rel=0.3)
     assert one.volume_m3 == pytest.approx(6.0, rel=0.5) and one.high_m == 6.0
+
+
+def test_a_dense_thing_is_measured_in_bounded_memory(tmp_path, capsys):
+    rng = np.random.default_rng(8)
+    side = rng.uniform([10.0, 7.0, 0.0], [12.5, 11.0, 0.0], (60_000, 3))
+    side[:, 2] = 2.6 + rng.normal(0.0, 0.012, len(side))
+    new = np.concatenate([cloud(1, grown, truck(11.25, 9, 2.5, 4.0)), side])
+    tracemalloc.start()
+    facts = compared(tmp_path, capsys, new, cloud(2, before))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    (thing,), every = facts["objects"], compared(tmp_path, capsys, new, cloud(2, before), *COUNT)
+    assert thing["volume_m3"] == pytest.approx(every["net_m3"] - facts["net_m3"], rel=0.06)
+    assert peak < 400e6  # pairs of points nearer than a metre would be 8 GB

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
@@ -30,6 +32,7 @@ from ladar_volume.volume.field_checks.standing_objects import (
     MOST,
     STEEP,
     any_step,
+    clumps,
     objects_of,
     rise_above,
     standing_vertices,
@@ -37,6 +40,18 @@ from ladar_volume.volume.field_checks.standing_objects import (
 from ladar_volume.volume.polygon import areas_inside
 
 Objects = tuple[StandingObject, ...]
+
+
+class Coarse(NamedTuple):
+    """A surface that was thinned, its vertices (n,) that stand on it, and triangles (m,) that
+    count.
+    """
+
+    tin: Tin
+    standing: Bool
+    inside: Bool
+
+
 #: Vertices (n,) of a thinned surface that stand on it, and triangles (m,) that count, for a noise
 #: of its heights, parameters and the height of a step, m.
 Find = Callable[[Tin, float, Parameters, float], tuple[Bool, Bool]]
@@ -168,16 +183,27 @@ def nearly_all_above(cleared: CloudSurface, parameters: Parameters) -> bool:
     return taken >= NEARLY_ALL * (taken + left)
 
 
-def objects_of_points(points: F64, taken: Bool, counted: Bool, spacing_m: float) -> Objects:
-    """What stood on a surface of points (n, 3) m, those ``taken`` (n,), above all others around.
-    counted : (n,) points of what counts, some of each place
+def objects_of_points(points: F64, taken: Bool, coarse: Coarse, spacing_m: float) -> Objects:
+    """What stood on a surface of points (n, 3) m, those ``taken`` (n,), above all others around; on
+    the thinned surface where the points around are too few for one.
     """
+    thin, standing, inside = coarse
     apart = max(APART_M, APART * spacing_m)
+    label, mask = clumps(thin.vertices[standing, :2], apart), vertex_mask(thin, inside)
+    counted = np.zeros(len(points), np.bool_)
+    counted[thin.source[mask]] = True
     rows = beside(points[:, :2], points[taken, :2], AROUND * apart)
-    tin = thinned_tin(points[rows], 0.0, spacing_m)
+    try:
+        tin = thinned_tin(points[rows], 0.0, spacing_m)
+    except SurfaceError:
+        return objects_of(thin, standing, standing, mask, label)
     rows = rows[tin.source]
     own = taken[rows]
-    return objects_of(tin, own, own, counted[rows], apart) if own.any() else ()
+    if not own.any():
+        return objects_of(thin, standing, standing, mask, label)
+    # dense points have too many neighbours for pairs of them
+    near = cKDTree(thin.vertices[standing, :2]).query(points[rows[own], :2])[1]
+    return objects_of(tin, own, own, counted[rows], label[near])
 
 
 def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tuple[I64, Objects]:
@@ -209,9 +235,7 @@ def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tup
         if not standing.any():
             break
         taken = standing_points(points, tin, standing, step, max(step, spacing))
-        counted = np.zeros(len(points), np.bool_)
-        counted[tin.source[vertex_mask(tin, inside)]] = True
-        found += objects_of_points(points, taken, counted, spacing)
+        found += objects_of_points(points, taken, Coarse(tin, standing, inside), spacing)
         kept = kept[~taken]
     return kept, tuple(sorted(found, key=lambda one: -one.volume_m3))
 

@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
@@ -37,7 +36,7 @@ from ladar_volume.volume.base import ZERO
 from ladar_volume.volume.field_checks.standing_objects import (
     APART_M,
     MATTERS,
-    parts,
+    clumps,
     standing_vertices,
 )
 
@@ -66,8 +65,7 @@ def new_vertices(
     below = height_at(surfaces[1].representation.tin, r[:, :2], index)  # NaN: not seen by the other
     higher = r[:, 2] - below > least_m
     higher[higher] = far_from(r[higher], *surfaces, least_m)
-    pairs = cKDTree(r[:, :2]).query_pairs(APART_M, output_type="ndarray")
-    label = parts(len(rows), pairs[:, 0], pairs[:, 1])
+    label = clumps(r[:, :2], APART_M)
     share = np.bincount(label, higher) / np.bincount(label)
     out[rows] = share[label] > NEW
     return out

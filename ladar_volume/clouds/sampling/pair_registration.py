@@ -35,8 +35,8 @@ CHANCE, MATTERS = 3.0, 2.0
 #: flatter than the second may be a tilt, of the registration.
 THIN, FLAT = 0.01, 0.02
 #: A layer on a part: this share of the cells at least, whose means lie within this share of its
-#: thickness.
-PART, EVEN = 0.1, 0.15
+#: thickness; strips of a flight are seldom further off, m.
+PART, EVEN, STRIP_M = 0.1, 0.15, 0.2
 #: How many of a unit a metre has; sizes of one place that differ by such a factor to within this.
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 ALIKE_SIZES = 0.05
@@ -191,7 +191,7 @@ def level_doubts(volume: CloudVolume, cells: CellMeans, found: UnchangedPart) ->
     effect = thick * area
     if (
         float(spans[first]) > even
-        or abs(thick) > THIN * math.sqrt(area)
+        or abs(thick) > min(THIN * math.sqrt(area), STRIP_M)
         or abs(effect) <= MATTERS * volume.sigma_m3
     ):
         return []

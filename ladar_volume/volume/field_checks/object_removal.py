@@ -12,7 +12,9 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, Bool, PatchTable, StandingObject, Volume
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.volume.field_checks.standing_objects import (
+    APART_M,
     bent_vertices,
+    clumps,
     objects_of,
     standing_vertices,
 )
@@ -109,9 +111,9 @@ def without_objects(survey: SurveyedSurface, footing: Footing, parameters: Param
     cleared = without_points(found.survey, out, parameters)
     if cleared is None:
         return found
-    return Cleared(
-        *cleared, objects_of(tin, standing, taken, vertex_mask(tin, inside)), found.mixed
-    )
+    label = clumps(tin.vertices[standing, :2], APART_M)
+    things = objects_of(tin, standing, taken, vertex_mask(tin, inside), label)
+    return Cleared(*cleared, things, found.mixed)
 
 
 def objects_by_body(

@@ -154,23 +154,27 @@ def bent_vertices(tin: Tin, standing: Bool, radius_m: float) -> Bool:
     return out
 
 
+def clumps(xy: F64, apart_m: float) -> I64:
+    """The part (n,) to which places xy (n, 2) m belong, nearer ones than a distance to the same."""
+    pairs = cKDTree(xy).query_pairs(apart_m, output_type="ndarray")
+    return parts(len(xy), pairs[:, 0], pairs[:, 1])
+
+
 def objects_of(
-    tin: Tin, standing: Bool, taken: Bool, counted: Bool, apart_m: float = APART_M
+    tin: Tin, standing: Bool, taken: Bool, counted: Bool, label: I64
 ) -> tuple[StandingObject, ...]:
-    """What stood on the surface, the largest first: vertices ``standing`` (n,) above those that
-    were not ``taken`` (n,). counted : (n,) vertices of triangles that counted · apart_m : vertices
-    nearer than this are of one object
+    """What stood on the surface, the largest first: vertices ``standing`` (n,), k of them, above
+    those that were not ``taken`` (n,). counted : (n,) vertices of triangles that counted · label :
+    (k,) the object to which each belongs
     """
     r, rows = tin.vertices, np.flatnonzero(standing)
     area = footprint_areas(r, tin.triangles) / 3.0
     share = np.zeros(len(r))
     for k in range(3):
         share += np.bincount(tin.triangles[:, k], area, len(r))
-    pairs = cKDTree(r[rows, :2]).query_pairs(apart_m, output_type="ndarray")
-    label = parts(len(rows), pairs[:, 0], pairs[:, 1])
     rise = rise_above(r[rows], r[~taken])
     own, found = counted[rows], []
-    for number in range(int(label.max()) + 1):
+    for number in np.unique(label):
         at = label == number
         x, y = r[rows[at], :2].mean(axis=0).tolist()
         wide = math.sqrt(float(share[rows[at]].sum()))  # few vertices stand for their surroundings
