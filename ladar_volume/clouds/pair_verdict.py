@@ -41,13 +41,15 @@ from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import (
     HIDDEN,
+    CutSides,
     cut_at_boundary,
     cut_sides,
     missing_m6,
 )
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
-from ladar_volume.volume.field_checks.standing_objects import APART_M, parts
+from ladar_volume.volume.field_checks.standing_objects import APART_M
 from ladar_volume.volume.field_checks.steep_faces import enclosed_m6, wall_m6
+from ladar_volume.volume.outline import components
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Fewest cells of ground that is named, and fewest triangles in each.
@@ -138,28 +140,22 @@ def with_edge(
         f"more, is not counted; {todo}"
     )
     if not outline:
-        size = changed_at_edge_m3(ground, inside)
-        missing = missing_m6(tin, level, inside, ground.least_m, size)
+        sides = cut_sides(tin, level, inside, ground.least_m)
+        missing = missing_m6(tin, level, inside, sides, changed_at_m3(ground, inside, sides))
         volume = with_lines(volume, {"cut": missing})
     return volume, [Doubt("cut", words, cut.hidden_m3)]
 
 
-def changed_at_edge_m3(ground: PairGround, inside: Bool) -> float:
-    """How much lies between the surfaces in the parts that reach the edge of the triangles
-    ``inside`` (m,), m³: those whose vertices are all apart hang together.
+def changed_at_m3(ground: PairGround, inside: Bool, sides: CutSides) -> float:
+    """How much lies between the surfaces in the parts of the triangles ``inside`` (m,) that are cut
+    at ``sides``, m³.
     """
     tin, level = ground.tin, ground.level
-    height = np.abs(height_above(tin.vertices, level))
-    t = tin.triangles[inside]
-    apart = height[t] > ground.least_m
-    ends = np.concatenate([t[:, (0, 1)], t[:, (1, 2)], t[:, (2, 0)]])
-    both = np.concatenate([apart[:, (0, 1)], apart[:, (1, 2)], apart[:, (2, 0)]]).all(axis=1)
-    label = parts(len(height), *ends[both].T)
-    at_edge = cut_sides(tin, level, inside, ground.least_m).ends.ravel()
-    at_edge = at_edge[height[at_edge] > ground.least_m]
-    own = (np.isin(label[t], label[at_edge]) & apart).any(axis=1)
-    area = footprint_areas(tin.vertices, t)
-    return float(area[own] @ height[t[own]].mean(axis=1))
+    height = np.abs(height_above(tin.vertices, level))[tin.triangles]
+    part = components(tin, inside & (height > ground.least_m).any(axis=1))
+    own = np.isin(part, part[sides.triangle])
+    area = footprint_areas(tin.vertices, tin.triangles[own])
+    return float(area @ height[own].mean(axis=1))
 
 
 def overlap_area(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:

@@ -72,9 +72,10 @@ def new_vertices(
 
 
 def far_from(places: F64, own: CloudSurface, other: CloudSurface, least_m: float) -> Bool:
-    """Which places (k, 3) m, points of one cloud, are far from all points of the other, strays
-    among them: farther than that, and than from the next point of their own. Two surveys meet the
-    same crown at other leaves, and the surface of one is lower there by chance.
+    """Which places (k, 3) m, points of one cloud, have no point of the other near, strays
+    included: none within ``least_m``, and none within :data:`FAR` times the distance to the next
+    point of their own cloud. Two surveys meet the same crown at other leaves, and the surface of
+    one is lower there by chance.
     """
     if not len(places):
         return np.zeros(0, np.bool_)
@@ -86,8 +87,8 @@ def far_from(places: F64, own: CloudSurface, other: CloudSurface, least_m: float
 
 
 def nearest_within(points: F64, places: F64, k: int, reach_m: float) -> F64:
-    """How far (m,) m the k-th nearest of points (n, 3) m is from places (m, 3) m, where that is no
-    more than a reach; infinite or larger elsewhere.
+    """Distances (m,) m from places (m, 3) m to the k-th nearest of points (n, 3) m. One beyond the
+    reach may come out too large, but never within it.
     """
     low, high = places.min(axis=0) - reach_m, places.max(axis=0) + reach_m
     near = points[((points >= low) & (points <= high)).all(axis=1)]

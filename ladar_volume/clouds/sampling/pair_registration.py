@@ -66,8 +66,8 @@ class UnchangedPart:
 
 
 def unit_doubts(one: F64, two: F64) -> list[Doubt]:
-    """One of two clouds (n, 3), (m, 3) m is as many times as wide and as long as the other as a
-    unit of length has metres.
+    """One of two clouds (n, 3), (m, 3) m is larger than the other, in width and in length, by the
+    ratio of two units of length, such as feet and metres.
     """
     wide = np.ptp(one[:, :2], axis=0) / np.maximum(np.ptp(two[:, :2], axis=0), 1e-300)
     for unit, times in UNITS.items():
@@ -172,8 +172,8 @@ def uniform_doubts(volume: CloudVolume, found: UnchangedPart) -> list[Doubt]:
 
 
 def level_doubts(volume: CloudVolume, cells: CellMeans, found: UnchangedPart) -> list[Doubt]:
-    """A part of what both saw is apart by one thin layer, nearly as even as what did not change: a
-    strip of a flight whose heights are off looks so.
+    """A part of what both saw is apart by one thin layer, nearly as even as what did not change.
+    A strip of a flight whose heights are off looks like this.
     """
     away = np.abs(cells.mean - found.offset_m)
     far = np.flatnonzero(away > CHANGED * found.scatter_m)
@@ -197,10 +197,10 @@ def level_doubts(volume: CloudVolume, cells: CellMeans, found: UnchangedPart) ->
         return []
     x, y = (cells.low + cells.side * (np.median(cells.cell[own], axis=0) + 0.5)).tolist()
     words = (
-        f"over {area:.3g} m² about ({x:.1f}, {y:.1f}) m the two clouds are {1e3 * thick:.3g} mm "
-        f"further apart than elsewhere, evenly: {effect:.4g} m³ are a layer that was laid or taken "
-        "there, or a strip of one flight whose heights are off; look at that place, or adjust the "
-        "strips"
+        f"over {area:.3g} m² about ({x:.1f}, {y:.1f}) m the first cloud lies evenly "
+        f"{1e3 * abs(thick):.3g} mm {'higher' if thick > 0.0 else 'lower'} than where nothing "
+        f"changed: {effect:.4g} m³ are a layer that was laid or taken there, or a strip of one "
+        "flight whose heights are off; look at that place, or adjust the strips"
     )
     return [Doubt("offset", words, thick)]
 

@@ -133,12 +133,11 @@ def missing_at_most(tin: Tin, base: Plane, inside: Bool, sides: CutSides, body_m
     return min(body_m3, 0.5 * float(section.sum()) / max(-slope, FLAT))
 
 
-def missing_m6(tin: Tin, base: Plane, inside: Bool, least_m: float, volume_m3: float) -> float:
+def missing_m6(tin: Tin, base: Plane, inside: Bool, sides: CutSides, volume_m3: float) -> float:
     """Variance of a body, the triangles ``inside`` (m,), for what is beyond the sides on which it
-    is cut, more than ``least_m`` off the base: anything from nothing to :func:`missing_at_most` is
-    as likely (GUM 4.3.7, about what was seen).
+    is cut: anything from nothing to :func:`missing_at_most` is as likely (GUM 4.3.7, about what was
+    seen).
     """
-    sides = cut_sides(tin, base, inside, least_m)
     if not len(sides.ends):
         return 0.0
     return missing_at_most(tin, base, inside, sides, abs(volume_m3)) ** 2 / 3.0
@@ -151,7 +150,9 @@ def cut_m6(tin: Tin, base: Plane, part: F64, volume_m3: float, parameters: Param
     p = parameters.volume
     if p.outline != "auto":
         return 0.0
-    return missing_m6(tin, base, part > 0.0, 0.5 * p.object_height_m, volume_m3)
+    inside = part > 0.0
+    sides = cut_sides(tin, base, inside, 0.5 * p.object_height_m)
+    return missing_m6(tin, base, inside, sides, volume_m3)
 
 
 def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> BodyCut | None:
