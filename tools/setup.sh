@@ -87,7 +87,7 @@ if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
     install -r "$wanted"
     # pip compiles on one core; some packages bring templates, which do not compile, and much that
     # is imported by nothing here
-    .venv/bin/python -m compileall -qq -j 0 -x '/(tests?|plotly|sqlalchemy|v09|v10)/' .venv/lib || true
+    .venv/bin/python -m compileall -qq -j 0 -x '/(tests?|plotly|sqlalchemy|v09|v10|pip|mypyc?)/|/v20/(?!ardup|comm)' .venv/lib || true
     echo "$want" >.venv/requirements.sha256
 else
     compile_kernels

@@ -271,10 +271,14 @@ def test_clouds_without_a_body_are_refused_in_one_line(cloud, tmp_path, capsys):
     assert not out.exists()
 
 
-@pytest.fixture(scope="module", params=["box", "sphere"])
+#: Repairs by body: the box takes ten times as long as the sphere.
+TRIED = {"box": ("both", "remove"), "sphere": REPAIRS}
+
+
+@pytest.fixture(scope="module", params=list(TRIED))
 def published(request, tmp_path_factory):
     """The thesis's cloud filtered as published by the command line, and what the study makes of it:
-    name, file, longest side, volumes by repair.
+    file, longest side, volumes by repair, repairs to try.
     """
     name = request.param
     folder = tmp_path_factory.mktemp("published")
@@ -285,14 +289,15 @@ def published(request, tmp_path_factory):
     assert main(["filter", str(raw), "-o", str(out), *words]) == 0
     settings = {"box": BOX, "sphere": SPHERE}[name]
     modes = thesis.repair_modes(filter_cloud(cloud, thesis.preset(name)), settings)
-    return out, settings.radius_m, {repair: mode.volume_m3 for repair, mode in modes.items()}
+    volumes = {repair: mode.volume_m3 for repair, mode in modes.items()}
+    return out, settings.radius_m, volumes, TRIED[name]
 
 
 def test_the_published_repairs_are_those_of_the_study(published, tmp_path, capsys):
     # Tables 9.3 and 9.4 from the command line
-    path, radius_m, volume_m3 = published
+    path, radius_m, volume_m3, tried = published
     assert len({round(v, 6) for v in volume_m3.values()}) == len(REPAIRS)
-    for repair in REPAIRS:
+    for repair in tried:
         out = tmp_path / f"{repair}.ply"
         words = ("--no-filter", "--mesh-radius", radius_m, "--repair", repair)
         facts = answer(capsys, path, "-o", out, *words)

@@ -53,13 +53,13 @@ def test_parts_are_one_recording(parts):
 
 
 def test_the_volume_is_that_of_the_whole(parts, tmp_path, capsys):
-    whole = lv.replay(BOX, duration_s=9.0)
+    whole = lv.replay(BOX, duration_s=6.0)
     for names in (("last", "first"), ("clouds", "poses")):
-        found = lv.replay([parts[name] for name in names], duration_s=9.0)
+        found = lv.replay([parts[name] for name in names], duration_s=6.0)
         assert (found.volume_m3, found.sigma_m3) == (whole.volume_m3, whole.sigma_m3)
         assert found.facts["losses"] == whole.facts["losses"]
     words = ["replay", str(parts["clouds"]), str(parts["poses"]), "--no-figure", "--json"]
-    assert main([*words, "--duration", "9", "-o", str(tmp_path / "out")]) == 0
+    assert main([*words, "--duration", "6", "-o", str(tmp_path / "out")]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["volume_m3"] == whole.volume_m3
     assert set(facts["input"]["path"].split(" + ")) == {"clouds", "poses"}

@@ -31,14 +31,14 @@ def environment():
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
-    """Twelve seconds over a stockpile, thinned."""
+    """Seven seconds over a stockpile, thinned."""
     path = tmp_path_factory.mktemp("flight") / "bag"
     scene = make_scene("stockpile", 5)
     survey = Survey(
         scene,
-        make_platform("uav", scene.extent_m, 12.0),
+        make_platform("uav", scene.extent_m, 7.0),
         BudgetParameters(),
-        SurveyParameters(12.0, 20, seed=5),
+        SurveyParameters(7.0, 20, seed=5),
     )
     suited = {s: dict(v) for s, v in SUITED["pile"].items()}
     write_bag(survey, path, suited, lambda share: None)
