@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 
 from ladar_volume.cli.inputs.base_choice import parameters_of
-from ladar_volume.cli.inputs.mesh_source import mesh_doubts
+from ladar_volume.cli.inputs.mesh_source import mesh_doubts, noise_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
 from ladar_volume.cli.outputs.cloud_files_out import (
     system_of_files,
@@ -267,7 +267,9 @@ def result_of(
     progress("cut and fill")
     facts, found = compute_volume(task, surfaces)
     clean = stray_facts(task, sources, surfaces, found)
-    doubts += mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
+    paths = [s.path for s in sources]
+    doubts += mesh_doubts(paths, [s.mesh for s in sources], surfaces)
+    doubts += noise_doubts(paths, surfaces)
     doubts += tuple(stray_doubts(clean["strays"], point_count(sources, surfaces)))
     if task.outlines is not None:
         facts["outlines"] = outline_facts(task.arguments, task.outlines)

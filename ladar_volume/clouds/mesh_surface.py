@@ -19,7 +19,7 @@ from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.volume.overlay import volumes_between
 
 #: What a mesh's sigma is where no one gives it.
-UNKNOWN = "unknown: a mesh has no noise of its own; give --sigma, that of its heights"
+UNKNOWN = "unknown: a mesh has no noise of its own"
 
 
 def surface_of_faces(tin: Tin, options: SurfaceParameters) -> RepresentedSurface:

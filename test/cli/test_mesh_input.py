@@ -106,7 +106,9 @@ def test_faces_are_the_surface_in_every_format(ending, tmp_path, run):
     assert facts["sigma_m3"] is None and "no noise" in facts["surfaces"][0]["sigma_from"]
     mesh = facts["surfaces"][0]["mesh"]
     assert (mesh["faces"], mesh["parts"], mesh["overlap_m2"]) == (6, 1, 0.0)
-    assert facts["verdict"]["status"] == "sound"
+    assert [r["name"] for r in facts["verdict"]["reasons"]] == ["no_sigma"]
+    exact = run("volume", tmp_path / f"l{ending}", "--level", 1, "--sigma", 0)
+    assert (exact["sigma_m3"], exact["verdict"]["status"]) == (0.0, "sound")
     hull = run("volume", tmp_path / f"l{ending}", "--level", 1, "--no-faces")
     wide = 14.0 if ending == ".stl" else 16.0  # a vertex in no face is a point
     assert hull["area_m2"] == pytest.approx(wide) and hull["surfaces"][0]["mesh"] is None

@@ -151,6 +151,21 @@ def mesh_doubts(
     return tuple(out)
 
 
+def noise_doubts(
+    paths: Sequence[Path], surfaces: Sequence[CloudSurface]
+) -> tuple[Doubt, ...]:
+    """That a volume has no standard deviation, since a mesh has none, and what gives it one."""
+    unknown = [surface.sigma_m is None for surface in surfaces]
+    if not any(unknown):
+        return ()
+    at = unknown.index(True)
+    text = (
+        f"the heights of {paths[at].name} have no standard deviation, so the volume has none: give "
+        f"{('--sigma', '--sigma-b')[at]}, 0 for a design, which is exact"
+    )
+    return (Doubt("no_sigma", text),)
+
+
 def mesh_words(facts: dict[str, Any]) -> str:
     """One line on a mesh: its faces, and whatever about them is out of the ordinary."""
     words = [f"{facts['faces']:,} faces as given"]
