@@ -55,7 +55,7 @@ def test_headers_in_any_order(header, order, separator, comma, end, mark, tmp_pa
     assert back.r.tolist() == ROWS and not back.columns
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
 def test_umlauts_of_either_encoding(encoding, tmp_path):
     text = "Rechtswert;Hochwert;Höhe\n1,25;2,5;3,75\n4;5,5;6,125\n"
     assert read_cloud(written(tmp_path / "a.txt", text.encode(encoding))).r.tolist() == ROWS

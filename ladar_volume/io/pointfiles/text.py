@@ -191,9 +191,13 @@ def usual_names(path: Path, count: int) -> list[str]:
 
 
 def _encoding(path: Path) -> str:
-    """UTF-8, or Latin-1 where the first lines are not that."""
+    """UTF-8, UTF-16 with its mark ("Unicode text" of spreadsheets), or Latin-1 where the first
+    lines are neither.
+    """
     with path.open("rb") as file:
         start = file.read(LINE_LIMIT)
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(start)
     except UnicodeDecodeError:
