@@ -118,6 +118,12 @@ def test_degrees_are_projected_to_their_zone(crs, utm, volume, tmp_path):
     assert volume(path, "--level", 50)["net_m3"] == pytest.approx(plain["net_m3"], rel=1e-5)
 
 
+def test_degrees_on_a_sphere_have_no_zone(volume, tmp_path):
+    r = np.c_[site()[:, :2] * 1e-5, site()[:, 2]]
+    said = volume(save_las(tmp_path / "d.las", r, "EPSG:4047"), "--level", 50)
+    assert "has no UTM zone" in said and "--crs" in said and said.count("\n") == 1
+
+
 def test_degrees_without_a_word_are_refused_and_told_from_metres(volume, tmp_path):
     r = site() + MIDDLE
     lon, lat = pyproj.Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(*r.T[:2])

@@ -271,3 +271,19 @@ def test_layers_of_a_laz_chunk_are_no_larger_than_it(tmp_path):
 def test_an_error_is_no_longer_than_a_message():
     assert len(str(LadarVolumeError("x" * 10**6))) == LONGEST
     assert str(LadarVolumeError("x" * LONGEST)) == "x" * LONGEST
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [("record", b"\x01\x00", "without chunks"), ("table", b"\xff" * 7 + b"\x7f", "cannot be")],
+)
+def test_a_laz_file_whose_chunks_cannot_be_found_is_told(place, value, words, tmp_path):
+    path = tmp_path / "a.laz"
+    write_cloud(path, np.random.default_rng(2).uniform(0, 9, (300, 3)))
+    data = bytearray(path.read_bytes())
+    record = data.index(b"laszip encoded") - 2 + 54  # after its head
+    at = {"record": record, "table": struct.unpack_from("<I", data, 96)[0]}[place]
+    data[at : at + len(value)] = value
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=words):
+        read_cloud(path)

@@ -151,9 +151,7 @@ def mesh_doubts(
     return tuple(out)
 
 
-def noise_doubts(
-    paths: Sequence[Path], surfaces: Sequence[CloudSurface]
-) -> tuple[Doubt, ...]:
+def noise_doubts(paths: Sequence[Path], surfaces: Sequence[CloudSurface]) -> tuple[Doubt, ...]:
     """That a volume has no standard deviation, since a mesh has none, and what gives it one."""
     unknown = [surface.sigma_m is None for surface in surfaces]
     if not any(unknown):

@@ -17,6 +17,8 @@ from ladar_volume.model.errors import CloudError
 CHUNK_BYTES = 2**26
 #: Dimensions that say which points count, read always.
 MARKS = ("classification", "withheld")
+#: The compressor of files without chunks, which lazrs cannot read.
+UNCHUNKED = 1
 
 
 def read_las(path: Path, columns: bool = True) -> RawTable:
@@ -125,6 +127,11 @@ def _check_chunks(path: Path, first: int, count: int) -> None:
     data = _laszip_record(path)
     if len(data) < 16:
         return
+    if struct.unpack_from("<H", data)[0] == UNCHUNKED:
+        raise CloudError(
+            "packed without chunks, as before laszip 2: pack it anew (PDAL, laszip)",
+            reason="cloud_header",
+        )
     (chunk,) = struct.unpack_from("<I", data, 12)
     with path.open("rb") as raw:
         raw.seek(first)
@@ -133,7 +140,7 @@ def _check_chunks(path: Path, first: int, count: int) -> None:
         if table < 0:  # written to a stream: the place is at the end of the file
             raw.seek(-8, 2)
             (table,) = struct.unpack("<q", raw.read(8))
-        raw.seek(max(table, 0))
+        raw.seek(min(max(table, 0), path.stat().st_size))
         words = raw.read(8)
     if len(words) < 8 or chunk in (0, 2**32 - 1):
         return

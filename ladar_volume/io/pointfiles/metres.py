@@ -243,6 +243,7 @@ def project_to_utm(r: F64, declared: Coordinates) -> CRS:
     """
     from pyproj import Transformer
     from pyproj.crs import CompoundCRS
+    from pyproj.exceptions import ProjError
 
     if declared.crs is None:
         raise InputError(
@@ -262,7 +263,14 @@ def project_to_utm(r: F64, declared: Coordinates) -> CRS:
             reason="input_degrees",
         )
     utm = utm_of(flat, float(np.median(lon)), float(np.median(lat)))
-    change = Transformer.from_crs(flat.to_2d(), utm, always_xy=True)
+    try:
+        change = Transformer.from_crs(flat.to_2d(), utm, always_xy=True)
+    except ProjError as error:
+        raise InputError(
+            f"{declared.name} has no UTM zone: name the datum with --crs, or transform to a "
+            "projected CRS first",
+            reason="input_crs",
+        ) from error
     r[:, 0], r[:, 1] = change.transform(lon, lat)
     if not np.isfinite(r[:, :2]).all():
         raise InputError(f"the points lie too far from {utm.name}: cut them first")
