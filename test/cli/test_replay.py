@@ -189,7 +189,7 @@ def test_a_pile_that_the_region_cuts_is_doubtful(capsys, tmp_path):
 
 
 def test_the_report_shows_how_the_volume_came_about(tmp_path, capsys):
-    words = ["replay", str(BAGS / "box"), "--duration", "9", "--convergence", "3"]
+    words = ["replay", str(BAGS / "box"), "--duration", "6", "--convergence", "3"]
     assert main([*words, "-o", str(tmp_path / "out")]) == 0
     capsys.readouterr()
     result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))

@@ -18,7 +18,7 @@ BAG = Path(__file__).parents[2] / "bags" / "box"
 def test_a_third_of_the_vertices_on_the_bundled_recording():
     parameters = read_config(BAG / "config.yaml", [])
     with BagReader(BAG) as bag:
-        replay = Replay(bag, parameters, bag.roles())
+        replay = Replay(bag, parameters, bag.roles(), duration_s=18.0)
         full = replay.run()
     one_third = dataclasses.replace(
         parameters, volume=dataclasses.replace(parameters.volume, vertex_ratio=1 / 3)

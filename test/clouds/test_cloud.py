@@ -87,7 +87,7 @@ def test_the_order_of_a_real_sweep_changes_no_bit():
     for seed in range(4):
         mixed = r[np.random.default_rng(seed).permutation(len(r))]
         assert np.array_equal(rounding_steps(mixed), rounding_steps(r))
-    r = r[(r[:, 0] > 0.0) & (np.abs(r[:, 1]) < r[:, 0])]
+    r = r[2.0 * np.abs(r[:, 1]) < r[:, 0]]
     order = np.random.default_rng(1).permutation(len(r))
     one, two = (filter_cloud(p, FilterParameters(), auto=True) for p in (r, r[order]))
     back = np.argsort(order[two.index])

@@ -10,7 +10,7 @@ FAULTS = "restart_volume_node,nan,outage,fix_clock,lidar_stamps"
 
 
 def test_a_flight_with_faults_ends_with_the_right_volume_and_balanced_books():
-    command = ("-m", "benchmarks.soak", "--seconds", 20, "--faults", FAULTS)
+    command = ("-m", "benchmarks.soak", "--seconds", 30, "--faults", FAULTS)
     seen = json.loads(printed_by(*command, timeout_s=300))
     assert seen["wrong"] == [] and set(seen["faults"]) == set(FAULTS.split(","))
     lost = seen["losses"]
