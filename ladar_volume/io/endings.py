@@ -22,7 +22,7 @@ CLOUD_ENDINGS = (*ENCODINGS, ".pts", ".e57", ".tif", ".tiff")
 #: Meshes: endings that are written, and those that are read.
 ENDINGS = (".ply", ".obj", ".stl", ".off")
 LANDXML = (".xml", ".landxml")
-READ_ENDINGS = (*ENDINGS, *LANDXML)
+READ_ENDINGS = (*ENDINGS, *LANDXML, ".dxf")
 
 
 def unknown_cloud(path: Path, kinds: Iterable[str] = CLOUD_ENDINGS) -> str:

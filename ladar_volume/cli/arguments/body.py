@@ -50,7 +50,11 @@ def add_parser(subparsers: Verbs) -> None:
     _add_objects(parser)
     _add_mesh(parser)
     _add_volume(parser)
-    parser.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
+    parser.add_argument(
+        "--surface",
+        metavar="NAME",
+        help="which surface of a LandXML, or layer of a DXF, with several",
+    )
     add_strict_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"

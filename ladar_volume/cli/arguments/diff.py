@@ -58,7 +58,7 @@ def _add_scans(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("b", type=Path, help="scan or mesh after")
     for option, which in (("--surface", "A"), ("--surface-b", "B")):
-        words = f"which surface of {which}, a LandXML with several"
+        words = f"which surface of {which}, a LandXML or DXF with several"
         parser.add_argument(option, metavar="NAME", help=words)
     parser.add_argument(
         "--pole",

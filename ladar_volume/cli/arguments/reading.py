@@ -31,12 +31,16 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
 
 def add_mesh_options(parser: argparse.ArgumentParser, second: bool = False) -> None:
     """Declare the options of mesh files; ``second``: of a second one too."""
-    g = parser.add_argument_group("mesh files (PLY with faces, OBJ, STL, OFF, LandXML)")
+    g = parser.add_argument_group("mesh files (PLY with faces, OBJ, STL, OFF, LandXML, DXF)")
     g.add_argument(
         "--no-faces",
         action="store_true",
         help="take the vertices for a point cloud; else the faces are the surface",
     )
-    g.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
+    g.add_argument(
+        "--surface",
+        metavar="NAME",
+        help="which surface of a LandXML, or layer of a DXF, with several",
+    )
     if second:
         g.add_argument("--surface-b", metavar="NAME", help="the same for the second file")

@@ -50,7 +50,9 @@ def read_faces(path: Path, arguments: argparse.Namespace, second: bool = False) 
     if holds_faces(path):
         return read_mesh(path, name)
     if name is not None:
-        raise ConfigurationError(f"{path} is a point cloud: --surface is for a LandXML", value=name)
+        raise ConfigurationError(
+            f"{path} is a point cloud: --surface is for a LandXML or DXF", value=name
+        )
     return None
 
 

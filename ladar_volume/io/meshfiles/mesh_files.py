@@ -1,4 +1,4 @@
-"""Mesh files: PLY, OBJ, STL, OFF and LandXML, by the ending of their name, read here so that
+"""Mesh files: PLY, OBJ, STL, OFF, LandXML and DXF, by the ending of their name, read here so that
 coordinates keep every digit and bad files are refused.
 
 Polygons are cut into triangles (:mod:`~ladar_volume.io.meshfiles.polygons`). STL has no shared
@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.endings import ENDINGS, LANDXML, READ_ENDINGS
+from ladar_volume.io.meshfiles.dxf_meshes import read_dxf
 from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.mesh_notes import (
     coordinates_of_head,
@@ -51,11 +52,11 @@ class MeshFile:
     corner twice, as they are or as joining vertices leaves them, and both sides of nothing · twice
     : triangles that were there already · joined, joined_m : vertices that were joined along open
     edges, and how far apart they were at most · invisible : faces of a LandXML that do not count ·
-    columns : of the vertices, (n,), from a PLY · surface : name in a LandXML · unit : linear unit
-    that a LandXML names · epsg : code of its frame · stated_coordinates : what comments of the head
-    say of the coordinates, which are as the file holds them until :func:`in_metres` · at : their
-    system once they are in metres · breaklines : of a LandXML, (k, 3) m each · doubts : what makes
-    it doubtful
+    columns : of the vertices, (n,), from a PLY · surface : name in a LandXML, layer of a DXF · unit
+    : linear unit that a LandXML names · epsg : code of its frame · stated_coordinates : what the
+    head says of the coordinates, which are as the file holds them until :func:`in_metres` · at :
+    their system once they are in metres · breaklines : of a LandXML, (k, 3) m each · doubts : what
+    makes it doubtful
     """
 
     vertices: F64
@@ -92,8 +93,14 @@ def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
     """The mesh of a file by its ending."""
     if ending in LANDXML:
         return _read_land(path, surface)
+    if ending == ".dxf":
+        drawn = read_dxf(path, surface)
+        mesh = _assemble(drawn.vertices, drawn.faces)
+        return dataclasses.replace(mesh, surface=drawn.layer, stated_coordinates=drawn.said)
     if surface is not None:
-        raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
+        raise InputError(
+            "only a LandXML and a DXF have surfaces with names", reason="landxml_surface"
+        )
     if ending == ".stl":
         soup = _finite(read_stl(path))
         origin = stl_origin(path)
@@ -114,7 +121,7 @@ def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
 
 
 def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
-    """Read a mesh file; of a LandXML with several surfaces that of a name.
+    """Read a mesh file; of a LandXML or DXF with several surfaces that of a name.
 
     Raises :class:`InputError`: input_missing, input_unreadable, input_format (unknown ending),
     mesh_file_header, mesh_file_short, mesh_file_values, mesh_file_fields, mesh_file_empty (no

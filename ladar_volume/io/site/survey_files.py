@@ -18,8 +18,8 @@ from ladar_volume.model.errors import InputError
 DATE = re.compile(
     r"(?<!\d)(\d{4})[-_.]?(\d{2})[-_.]?(\d{2})(?:[T_ -]?(\d{2})[-:.h]?(\d{2}))?(?!\d)"
 )
-#: Endings of surveys.
-ENDINGS = frozenset((*CLOUD_ENDINGS, *READ_ENDINGS))
+#: Endings of surveys; a DXF among them is of outlines.
+ENDINGS = frozenset((*CLOUD_ENDINGS, *READ_ENDINGS)) - {".dxf"}
 
 
 @dataclass(frozen=True)
