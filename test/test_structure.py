@@ -4,6 +4,7 @@ grows.
 
 import ast
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -86,12 +87,16 @@ def imports(path):
     return tuple(found)
 
 
+def paths(found):
+    """As a failed test should name them."""
+    return [str(p.relative_to(PACKAGE.parent)) for p in found]
+
+
 def own_rooms(path):
     return {name.split(".")[1] for name in imports(path) if name.startswith("ladar_volume.")}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_only_nodes_import_ros(path):
+def test_only_nodes_import_ros():
     ros = {
         "rclpy",
         "sensor_msgs",
@@ -103,14 +108,11 @@ def test_only_nodes_import_ros(path):
         "visualization_msgs",
         "shape_msgs",
     }
-    found = {name.split(".")[0] for name in imports(path)} & ros
-    assert not found or room(path) == "nodes"
+    found = [p for p in FILES if {name.split(".")[0] for name in imports(p)} & ros]
+    assert not paths(p for p in found if room(p) != "nodes")
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in FILES if room(p) in CORE], ids=lambda p: str(p.relative_to(PACKAGE))
-)
-def test_the_core_knows_no_files_no_clock_and_no_later_room(path):
+def test_the_core_knows_no_files_no_clock_and_no_later_room():
     banned = {
         "time",
         "datetime",
@@ -124,27 +126,28 @@ def test_the_core_knows_no_files_no_clock_and_no_later_room(path):
         "rich",
         "yaml",
     }
-    assert not {name.split(".")[0] for name in imports(path)} & banned
-    calls = {
+    core = [p for p in FILES if room(p) in CORE]
+    assert not paths(p for p in core if {name.split(".")[0] for name in imports(p)} & banned)
+    assert not paths(p for p in core if calls_of(p) & {"open", "print"})
+
+
+def calls_of(path):
+    """Functions that a file calls by their bare name."""
+    return {
         n.func.id
         for n in nodes_of(path)
         if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
     }
-    assert not calls & {"open", "print"}
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in FILES if room(p) != "__init__"], ids=lambda p: str(p.relative_to(PACKAGE))
-)
-def test_rooms_import_only_from_those_before_them(path):
-    assert own_rooms(path) <= set(ORDER[: ORDER.index(room(path)) + 1])
+def test_rooms_import_only_from_those_before_them():
+    rooms = [p for p in FILES if room(p) != "__init__"]
+    assert not paths(p for p in rooms if not own_rooms(p) <= set(ORDER[: ORDER.index(room(p)) + 1]))
 
 
-@pytest.mark.parametrize(
-    "folder", sorted({p.parent for p in FILES}), ids=lambda p: str(p.relative_to(PACKAGE.parent))
-)
-def test_a_folder_can_be_held_in_the_head(folder):
-    assert len([p for p in folder.glob("*.py") if p.name != "__init__.py"]) <= MODULES
+def test_a_folder_can_be_held_in_the_head():
+    modules = Counter(p.parent for p in FILES if p.name != "__init__.py")
+    assert not paths(folder for folder, count in modules.items() if count > MODULES)
 
 
 @pytest.mark.parametrize("name", [n for n in ORDER if (PACKAGE / n).is_dir()])
@@ -268,11 +271,9 @@ def test_no_basename_is_used_twice_in_the_core():
     assert not {n for n in names if names.count(n) > 1}
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in FILES if room(p) == "simulation"], ids=lambda p: p.name
-)
-def test_the_simulation_uses_nothing_of_the_pipeline(path):
-    assert own_rooms(path) <= {"math", "model", "simulation"}
+def test_the_simulation_uses_nothing_of_the_pipeline():
+    own = [p for p in FILES if room(p) == "simulation"]
+    assert not paths(p for p in own if not own_rooms(p) <= {"math", "model", "simulation"})
 
 
 def test_no_import_circle_between_modules():
@@ -309,9 +310,8 @@ def test_the_core_imports_without_ros():
     subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGE.parent)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_modules_stay_readable(path):
-    assert path.read_text().count("\n") <= 600
+def test_modules_stay_readable():
+    assert not paths(p for p in FILES if p.read_text().count("\n") > 600)
 
 
 def test_no_other_triangulation_in_the_package():
