@@ -5,6 +5,7 @@ Real clouds come from ``bags/leo_cut`` and ``test/data``. What should be kept, a
 is told by a check of its own (``benchmarks.plane_check``).
 """
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,8 +35,15 @@ def vlp16() -> Cloud:
     return Cloud("VLP-16", turn.r, turn.ring, real_sweeps.SWEPT)
 
 
-def swept(name: str) -> Callable[[], Cloud]:
-    return lambda: real_sweeps.swept(DATA / name, name)[0]
+def left_half(name: str) -> Callable[[], Cloud]:
+    """Of a sweep: the whole takes twice as long."""
+
+    def read() -> Cloud:
+        whole = real_sweeps.swept(DATA / name, name)[0]
+        left = whole.r[:, 1] > 0.0
+        return dataclasses.replace(whole, r=whole.r[left], ring=whole.ring[left])
+
+    return read
 
 
 def airborne() -> Cloud:
@@ -46,12 +54,12 @@ def airborne() -> Cloud:
 REAL = {
     "leo_cut": leo,
     "vlp16": vlp16,
-    "vlp32": swept("vlp32.pcd"),
-    "automotive": swept("automotive.ply"),
+    "vlp32": left_half("vlp32.pcd"),
+    "automotive": left_half("automotive.ply"),
     "airborne": airborne,
 }
 #: Least noise believed over that of the check. The goal is 1/1.5 for all; these two miss it, and
-#: are held where they stand (measured 0.64 and 0.33).
+#: are held where they stand (measured 0.64 and 0.37).
 NOISE = {"vlp16": 0.60, "automotive": 0.30}
 #: Case, least and largest distance from the truth over the printed sigma, most good points lost.
 #: The goals are 0.8, 1.25 and 0.01 for all. What misses them is held where it stands: with coarse
