@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import mesh_facts as mesh_of_file
-from ladar_volume.cli.verdict_lines import add_verdict_rows
+from ladar_volume.cli.verdict_lines import NO_SIGMA, add_verdict_rows
 from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.body_volume import Body, Uncertain
 from ladar_volume.clouds.cloud_bodies import CloudBodies, FailedBody
@@ -91,7 +91,8 @@ def mesh_facts(
         "dropped_triangles": mesh.dropped,
         **mesh_of_file(mesh),
     }
-    verdict = Verdict(mesh.doubts + body.doubts).as_dict()
+    unknown = (NO_SIGMA,) if uncertain is None else ()
+    verdict = Verdict(mesh.doubts + body.doubts + unknown).as_dict()
     return {**all_facts([body], uncertain), "input": source, "verdict": verdict}
 
 
