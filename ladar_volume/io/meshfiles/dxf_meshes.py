@@ -102,7 +102,7 @@ def faces_of(drawing: Drawing) -> Iterator[tuple[str, F64]]:
     entity: Any
     for entity in drawing.modelspace().query("3DFACE POLYLINE MESH"):
         layer, kind = str(entity.dxf.layer), entity.dxftype()
-        if kind == "3DFACE":  # a triangle has its third corner twice
+        if kind == "3DFACE":  # three corners where the fourth repeats the third
             yield layer, np.array([tuple(p) for p in entity.wcs_vertices()], dtype=np.float64)
             continue
         if kind == "POLYLINE" and not (entity.is_poly_face_mesh or entity.is_polygon_mesh):
