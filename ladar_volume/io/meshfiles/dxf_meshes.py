@@ -86,7 +86,8 @@ def choose_layer(layers: dict[str, list[F64]], name: str | None) -> str:
     names = ", ".join(map(repr, layers))
     if name is None and len(layers) > 1:
         raise InputError(
-            f"its faces lie on {len(layers)} layers: choose one of {names} with --surface",
+            f"its faces lie on {len(layers)} layers: choose one of {names} with --surface, "
+            "of a second file with --surface-b",
             reason="landxml_surface",
         )
     found = next(iter(layers)) if name is None else name
