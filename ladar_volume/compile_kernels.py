@@ -224,7 +224,9 @@ def _epochs(parameters: Parameters) -> None:
 
 
 def _clouds_and_bodies() -> None:
-    """A box on the ground seen along the rings of a scanner, and one that is closed."""
+    """A box on the ground seen along the rings of a scanner, one of points in no order, and one
+    that is closed.
+    """
     filtered = importlib.import_module("ladar_volume.clouds.filter_cloud").filter_cloud
     options = importlib.import_module("ladar_volume.model.cloud_filter_parameters")
     survey_bodies = importlib.import_module("ladar_volume.clouds.survey.survey_bodies")
@@ -242,7 +244,9 @@ def _clouds_and_bodies() -> None:
         np.c_[along, one, up], np.c_[along, -one, up], np.c_[one, along, up], np.c_[-one, along, up]
     ]
     walls += rng.normal(0.0, 0.005, walls.shape)
-    seen = np.r_[_box_from_above(rng.uniform(-2.0, 2.0, (6000, 2)), rng), walls]
+    above = _box_from_above(rng.uniform(-2.0, 2.0, (6000, 2)), rng)
+    filtered(above, options.FilterParameters(), auto=True)
+    seen = np.r_[above, walls]
     with contextlib.suppress(LadarVolumeError):  # whether it can be closed is not asked here
         survey_bodies.mesh_returns(seen, Parameters())
 

@@ -49,6 +49,32 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
     assert done.returncode == 0, done.stdout[-500:] + done.stderr
 
 
+def test_a_cloud_in_no_order_needs_no_kernel_that_was_not_ready():
+    code = """if True:
+    import sys
+    import numpy as np
+    from numba.core.caching import Cache
+    from ladar_volume import compile_kernels
+    from ladar_volume.clouds.filter_cloud import filter_cloud
+    from ladar_volume.model.cloud_filter_parameters import FilterParameters
+
+    compile_kernels.warm_up(compile_kernels.CLOUDS)
+    late, load = [], Cache.load_overload
+    Cache.load_overload = lambda self, sig, context: (
+        late.append((self._py_func.__qualname__, sig)),
+        load(self, sig, context),
+    )[1]
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(-3.0, 3.0, (3000, 2))
+    z = np.maximum(0.0, 1.2 - np.hypot(*xy.T)) + rng.normal(0.0, 0.01, len(xy))
+    filter_cloud(np.c_[xy, z], FilterParameters(), auto=True)
+    print(late)
+    sys.exit(bool(late))
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-500:] + done.stderr
+
+
 def test_a_first_start_tells_how_far_the_compiler_is(tmp_path):
     code = """if True:
     import numba, sys, time
