@@ -14,13 +14,10 @@ from typing import TextIO
 import numpy as np
 
 from ladar_volume.io.export.deliverable import Deliverable, Part
-from ladar_volume.io.pointfiles.units import Unit
+from ladar_volume.io.pointfiles.units import INSUNITS, Unit
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64
 
-#: $INSUNITS by the unit's name in this program (21: US survey foot).
-INSUNITS = {"metre": 6, "millimetre": 4, "centimetre": 5, "kilometre": 7}
-INSUNITS |= {"international foot": 2, "US survey foot": 21}
 #: AutoCAD's colours of the layers.
 COLOURS = {"counted": 3, "around": 8, "base": 30, "second": 30, "outline": 1}
 #: Faces that are joined at a time.
@@ -92,13 +89,14 @@ def document(d: Deliverable, faces: int) -> Document:
 
 def units_of(unit: Unit) -> int:
     """The code of a unit."""
-    if unit.name not in INSUNITS:
+    code = next((k for k, known in INSUNITS.items() if known.name == unit.name), None)
+    if code is None:
         raise OutputError(
             f"DXF has no code for the unit {unit.name}: leave --file-units out, for metres",
             reason="output_units",
             value=unit.name,
         )
-    return INSUNITS[unit.name]
+    return code
 
 
 def write_faces(file: TextIO, part: Part, r: F64, handle: int, owner: str) -> None:

@@ -12,23 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ladar_volume.io.pointfiles.crs import Coordinates, of_comments
-from ladar_volume.io.pointfiles.units import FOOT, METRE, US_FOOT, WORDS, Unit
+from ladar_volume.io.pointfiles.units import INSUNITS
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
-
-#: Units by $INSUNITS; 0 says nothing.
-UNITS = {
-    1: Unit("inch", 0.0254),
-    2: FOOT,
-    4: WORDS["mm"],
-    5: WORDS["cm"],
-    6: METRE,
-    7: WORDS["km"],
-    21: US_FOOT,
-}
 
 
 @dataclass(frozen=True)
@@ -123,9 +112,9 @@ def said_by_header(drawing: Drawing) -> Coordinates | None:
     code = int(drawing.header.get("$INSUNITS", 0))
     if code == 0:
         return None
-    if code not in UNITS:
+    if code not in INSUNITS:
         raise InputError(
             f"$INSUNITS is {code}, no unit of a map: write it in metres or feet",
             reason="mesh_file_header",
         )
-    return Coordinates(across=UNITS[code], up=UNITS[code])
+    return Coordinates(across=INSUNITS[code], up=INSUNITS[code])

@@ -36,6 +36,9 @@ WORDS = {
     "ft": FOOT,
     "us-ft": US_FOOT,
 }
+#: By $INSUNITS of a DXF; 0 says nothing.
+INSUNITS = {1: Unit("inch", 0.0254), 2: FOOT, 21: US_FOOT}
+INSUNITS |= {4: WORDS["mm"], 5: WORDS["cm"], 6: METRE, 7: WORDS["km"]}
 #: Other spellings in headers.
 SPELLINGS = {
     "metre": "m",
