@@ -77,6 +77,19 @@ def test_a_layer_is_chosen_by_its_name(tmp_path):
     assert read_mesh(path, "ground").surface == "ground"
 
 
+def test_faces_in_blocks_do_not_count_and_are_named(tmp_path):
+    doc = ezdxf.readfile(drawing(tmp_path / "a.dxf"))
+    assert not read_mesh(tmp_path / "a.dxf").doubts
+    doc.blocks.new("ramp").add_3dface([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    doc.blocks.new("arrow").add_line((0, 0), (1, 0))
+    for name in ("ramp", "arrow"):
+        doc.modelspace().add_blockref(name, (500_000, 5_600_000, 300))
+    doc.saveas(tmp_path / "b.dxf")
+    m = read_mesh(tmp_path / "b.dxf")
+    assert len(m.triangles) == len(CUBE_T)
+    assert [(d.name, d.value) for d in m.doubts] == [("mesh_blocks", 1)]
+
+
 def test_what_holds_no_faces_is_refused_in_one_line(tmp_path, capsys):
     doc = ezdxf.new()
     doc.modelspace().add_lwpolyline([(0, 0), (9, 0), (9, 9)], close=True)

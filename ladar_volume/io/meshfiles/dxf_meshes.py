@@ -15,6 +15,7 @@ from ladar_volume.io.pointfiles.crs import Coordinates, of_comments
 from ladar_volume.io.pointfiles.units import INSUNITS
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64
+from ladar_volume.model.verdict import Doubt
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
@@ -23,13 +24,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class DxfSurface:
     """vertices : (n, 3) as the file holds them · faces : the corners of each · layer : its name ·
-    said : units and system that the header names, None for neither
+    said : units and system that the header names, None for neither · doubts : faces in blocks
     """
 
     vertices: F64
     faces: list[list[int]]
     layer: str
     said: Coordinates | None
+    doubts: tuple[Doubt, ...]
 
 
 def read_dxf(path: Path, layer: str | None = None) -> DxfSurface:
@@ -45,7 +47,7 @@ def read_dxf(path: Path, layer: str | None = None) -> DxfSurface:
         drawing = readfile(path)
         for name, face in faces_of(drawing):
             by_layer.setdefault(name, []).append(face)
-        said = said_by_header(drawing)
+        said, doubts = said_by_header(drawing), block_doubts(drawing)
     except (InputError, MemoryError):
         raise
     except OSError as error:
@@ -61,7 +63,7 @@ def read_dxf(path: Path, layer: str | None = None) -> DxfSurface:
     vertices, row = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
     ends = np.cumsum([len(face) for face in corners])
     faces = [part.tolist() for part in np.split(row.reshape(-1), ends[:-1])]
-    return DxfSurface(vertices, faces, found, said)
+    return DxfSurface(vertices, faces, found, said, doubts)
 
 
 def choose_layer(layers: dict[str, list[F64]], name: str | None) -> str:
@@ -101,6 +103,17 @@ def faces_of(drawing: Drawing) -> Iterator[tuple[str, F64]]:
         made = from_entity(entity)
         r = np.array([tuple(p) for p in made.vertices], dtype=np.float64).reshape(-1, 3)
         yield from ((layer, r[list(face)]) for face in made.faces)
+
+
+def block_doubts(drawing: Drawing) -> tuple[Doubt, ...]:
+    """That faces in blocks, which do not count, may be part of the surface."""
+    names = [str(one.dxf.name) for one in drawing.modelspace().query("INSERT")]
+    blocks = [drawing.blocks.get(name) for name in names]
+    held = sum(1 for block in blocks if block is not None and block.query("3DFACE MESH"))
+    if not held:
+        return ()
+    words = f"{held} blocks of the drawing hold faces, which do not count: explode the blocks"
+    return (Doubt("mesh_blocks", words, held),)
 
 
 def said_by_header(drawing: Drawing) -> Coordinates | None:

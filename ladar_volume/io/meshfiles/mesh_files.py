@@ -96,7 +96,12 @@ def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
     if ending == ".dxf":
         drawn = read_dxf(path, surface)
         mesh = _assemble(drawn.vertices, drawn.faces)
-        return dataclasses.replace(mesh, surface=drawn.layer, stated_coordinates=drawn.said)
+        return dataclasses.replace(
+            mesh,
+            surface=drawn.layer,
+            stated_coordinates=drawn.said,
+            doubts=mesh.doubts + drawn.doubts,
+        )
     if surface is not None:
         raise InputError(
             "only a LandXML and a DXF have surfaces with names", reason="landxml_surface"
