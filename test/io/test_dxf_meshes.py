@@ -58,6 +58,9 @@ def test_lengths_are_those_of_the_header(unit, metres, tmp_path):
     path = drawing(tmp_path / "a.dxf", unit=unit, v=CUBE_V * 2.0)
     m = in_metres(read_mesh(path), Reading(None, None, None))
     assert m.vertices.max() == pytest.approx(2.0 * metres, rel=1e-12)
+    assert [d.name for d in m.doubts] == (["mesh_units"] if unit == 0 else [])
+    if unit == 0:
+        assert not in_metres(read_mesh(path), Reading(None, METRE, METRE)).doubts
 
 
 def test_an_unknown_unit_and_one_that_contradicts_are_refused(tmp_path):

@@ -191,6 +191,9 @@ def in_metres(mesh: MeshFile, reading: Reading) -> MeshFile:
     vertices, at, more = to_metres(mesh.vertices.copy(), said, asked)
     columns = columns_in_metres(dict(mesh.columns), at)
     doubts = mesh.doubts + tuple(more)
+    if mesh.surface and said.said_by == "nothing":  # a DXF
+        text = "the DXF names no units: its numbers are taken for metres; say which with --units"
+        doubts += (Doubt("mesh_units", text),)
     return dataclasses.replace(mesh, vertices=vertices, columns=columns, at=at, doubts=doubts)
 
 
