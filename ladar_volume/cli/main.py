@@ -20,6 +20,7 @@ from ladar_volume.cli.help.examples import add_examples
 from ladar_volume.cli.help.near_misses import verbs_of
 from ladar_volume.cli.help.summaries import SUMMARIES
 from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.process.memory import keep_freed
 from ladar_volume.process.switch import own_process
 from ladar_volume.version import version
 
@@ -44,6 +45,8 @@ MODULES = {
     "sites": "ladar_volume.cli.arguments.scale.sites",
 }
 
+#: Verbs that hold whole clouds, and end with their result.
+OF_CLOUDS = ("volume", "tin", "filter", "body", "diff", "register")
 #: Set in the environment, a defect ends with its traceback.
 TRACEBACK = "LADAR_VOLUME_TRACEBACK"
 #: Extras of the package by the module that they bring.
@@ -235,6 +238,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if lost := next((w for w in words if w.startswith("--") and w.endswith("=--")), None):
         parser.error(f"{lost}: no value")  # argparse takes it for an empty list
     arguments: Any = parser.parse_args(words)
+    if argv is None and verb in OF_CLOUDS:  # a program of its own
+        keep_freed()
     try:
         with orderly_end(), quiet_output(arguments):
             return int(arguments.run(arguments))

@@ -76,6 +76,7 @@ from ladar_volume.clouds.volume_verdict import (
     apart_doubts,
     counted_areas,
     places,
+    seen_volume,
     stray_doubts,
     surface_doubts,
     volume_with_verdict,
@@ -83,6 +84,7 @@ from ladar_volume.clouds.volume_verdict import (
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.results import MOST_OBJECTS, json_text
 from ladar_volume.io.site.outline_files import Outlines
+from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import HeightError
@@ -91,6 +93,7 @@ from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.piles.pile_site import SiteTask
 from ladar_volume.piles.pile_volumes import SitePiles
+from ladar_volume.process.memory import return_free
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 from ladar_volume.volume.base import polygon_of
@@ -408,8 +411,10 @@ def compute_volume(
     """The volume with its verdict, where levels are asked for the sequence with its floors; and
     what it counts.
     """
+    return_free()
     task = with_site_lengths(task, surfaces[0])
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
+    return_free()
     # piles count on the first surface alone
     areas = [counted_areas(s, m) for s, m in zip(surfaces, found.counted, strict=False)]
     judgement = volume_verdict(task, surfaces, found, areas)
@@ -528,14 +533,15 @@ def volume_verdict(
         verdict, facts = pile_facts(found.site, task.arguments, found.parameters)
         return JudgedVolume(found.volume, verdict, facts)
     if len(surfaces) == 1 and surfaces[0].given_faces is None:
-        readings, base = None, found.level_base
+        surface, area, p, base = surfaces[0], areas[0], found.parameters, found.level_base
         if task.base == "floor":
-            base = design_surface([found.parameters.volume.level_m])
-        elif task.base == "ground" and base is not None:
-            readings = ground_readings(surfaces[0], base, areas[0], found.parameters)
-        volume, verdict = volume_with_verdict(
-            found.volume, surfaces[0], areas[0], readings, found.parameters, base
+            base = design_surface([p.volume.level_m])
+        ground = base if task.base == "ground" else None
+        seen, readings = run_concurrently(
+            lambda: seen_volume(found.volume, surface, area, p, base),
+            lambda: None if ground is None else ground_readings(surface, ground, area, p),
         )
+        volume, verdict = volume_with_verdict(seen, surface, area, readings, p, base)
         facts = {"readings": None if readings is None else dataclasses.asdict(readings)}
         return JudgedVolume(volume, verdict, facts)
     verdict = Verdict()

@@ -22,10 +22,10 @@ from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import build_tin, first_corners
+from ladar_volume.tin.full_tin import build_tin, first_corner, vertex_mask
 from ladar_volume.tin.locate import barycentric, locate_in_delaunay
-from ladar_volume.tin.relevant import circle_kernel
-from ladar_volume.tin.sampled_area import FEWEST
+from ladar_volume.tin.relevant import circumdiameters
+from ladar_volume.tin.sampled_area import FEWEST, fill_cells, look_up
 
 #: Cells of the coarser surface, in spacings; blocks of differences, in such cells.
 CELL, BLOCK = 1.5, 3.0
@@ -72,7 +72,7 @@ def thin_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I6
 def wide(tin: Tin, area: F64) -> float:
     """Circumdiameter, m, that half of an area (m,) m² of triangles is below."""
     some = np.flatnonzero(area > 0)
-    size = np.asarray(circle_kernel(tin.vertices, tin.triangles[some]))
+    size = circumdiameters(tin.vertices, tin.triangles[some])
     order = np.argsort(size)
     share = np.cumsum(area[some][order])
     return float(size[order][min(np.searchsorted(share, share[-1] / 2), len(size) - 1)])
@@ -87,11 +87,12 @@ def between_points(
     points are too few to tell.
     """
     tin = surface.representation.tin
-    counts = inside if unknown is None else np.where(unknown, inside, 0.0)
-    hidden = bridged_deviation(surface, counts, height)
+    bridged = bridges(surface) & (inside > 0.0)
+    hidden = bridged_deviation(
+        tin, inside, height, bridged if unknown is None else bridged & unknown
+    )
     spacing, own = surface.spacing_m, along_own_axes(tin.vertices[:, :2])
-    bridged = bridges(surface)
-    if np.count_nonzero(inside[~bridged]) < FEWEST:
+    if np.count_nonzero(inside > 0.0) - np.count_nonzero(bridged) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
     seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing, own)
     finest, near = wide(tin, seen), near_triangles(tin, own, seen, spacing)
@@ -135,13 +136,17 @@ def from_coarser(
     return BetweenPoints(random / share, drift / share, hidden)
 
 
+@kernel
 def chosen_squares(corner: F64, low: F64, side: float, every: int) -> Bool:
     """Triangles (m,) whose first corner (m, 2) m, by x, then y, lies in one of ``every`` so many
     squares of a raster: a knight's move from row to row, so that no row, column or diagonal goes
     without.
     """
-    u, v = (np.floor((corner[:, k] - low[k]) / side).astype(np.int64) for k in range(2))
-    return np.asarray((u + 2 * v) % every == 0)
+    out = np.empty(len(corner), np.bool_)
+    for i in range(len(corner)):
+        u, v = np.floor((corner[i, 0] - low[0]) / side), np.floor((corner[i, 1] - low[1]) / side)
+        out[i] = (int(u) + 2 * int(v)) % every == 0
+    return out
 
 
 def squares_every(triangles: int) -> int:
@@ -158,10 +163,20 @@ def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, flo
     if every < 2 or not math.isfinite(side):
         return inside, 1.0
     low, _ = raster_of(xy, side)
-    first = first_corners(tin.vertices, tin.triangles)
     # asked of the vertices: there are half as many as triangles
-    kept = np.where(chosen_squares(xy, low, side, every)[first], inside, 0.0)
+    chosen = chosen_squares(xy, low, side, every)
+    kept = np.asarray(chosen_areas(tin.vertices, tin.triangles, chosen, inside))
     return kept, float(kept.sum() / inside.sum())
+
+
+@kernel
+def chosen_areas(vertices: F64, triangles: I32, chosen: Bool, inside: F64) -> F64:
+    """The areas (m,) m² of triangles whose first corner is ``chosen`` (n,), 0 of others."""
+    out = np.zeros(len(inside))
+    for t in range(len(inside)):
+        if inside[t] > 0.0 and chosen[first_corner(vertices, triangles, t)]:
+            out[t] = inside[t]
+    return out
 
 
 def near_triangles(tin: Tin, xy: F64, inside: F64, spacing: F64) -> Bool:
@@ -175,12 +190,10 @@ def near_triangles(tin: Tin, xy: F64, inside: F64, spacing: F64) -> Bool:
     low, size = raster_of(xy, side)
     if float(size[0]) * float(size[1]) > MOST_CELLS:
         return np.ones(len(xy), np.bool_)
-    cell = np.floor((xy - low) / side).astype(np.int32)
-    marked = np.zeros(size, np.bool_)
-    corners = np.unique(tin.triangles[inside > 0])
-    marked[cell[corners, 0], cell[corners, 1]] = True
+    marked, out = np.zeros(size + 4, np.bool_), np.empty(len(xy), np.bool_)
+    fill_cells(xy[vertex_mask(tin, inside > 0)], low, side, marked)
     marked = ndimage.binary_dilation(marked, np.ones((3, 3), np.bool_))
-    out: Bool = marked[cell[:, 0], cell[:, 1]]
+    look_up(xy, np.zeros(0, np.int64), low, side, marked, out)
     return out
 
 
@@ -328,12 +341,11 @@ def noise_of(surface: CloudSurface, gradient: F64) -> float:
     return float(((gradient * sigma) ** 2).sum())
 
 
-def bridged_deviation(surface: CloudSurface, inside: F64, height: F64) -> float:
-    """How far, m³, the volume may be off where triangles bridge what was not sampled: a third of
-    the difference in height between their corners, in all of them alike. The truth is some step or
-    hollow between the corners; a triangle holds a third or two thirds of it.
+def bridged_deviation(tin: Tin, inside: F64, height: F64, own: Bool) -> float:
+    """How far, m³, the volume may be off where triangles bridge what was not sampled, their ``own``
+    (m,): a third of the difference in height between their corners, in all of them alike. The truth
+    is some step or hollow between the corners; a triangle holds a third or two thirds of it.
     """
-    tin, own = surface.representation.tin, bridges(surface) & (inside > 0)
     corner = height[tin.triangles[own]]
     return float((inside[own] * np.ptp(corner, axis=1)).sum()) / 3.0
 

@@ -4,7 +4,8 @@ A point is isolated where its eighth neighbour in space is far for the points ar
 stray where it is also off the plane through those around it that are not isolated; one that is not
 isolated where three quarters of its neighbours agree on a plane, it is far off that, and fewer
 than two of them are where it is: corners and edges of bodies have company on their own level.
-Neighbours are taken across scan lines (see ``cloud_noise``).
+Neighbours are taken across scan lines (see ``cloud_noise``). Points that plainly lie on a plane
+with all those around them (see ``plain_places``) are not asked, unless they lie on such lines.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thin_by_cells
 from ladar_volume.clouds.sampling.isolation import far_from_cloud
+from ladar_volume.clouds.sampling.plain_places import plain_points
 from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import PARTS, inlined, kernel, run_in_threads
 from ladar_volume.math.nearest import (
@@ -29,7 +31,6 @@ from ladar_volume.math.nearest import (
     search_part,
 )
 from ladar_volume.math.own_axes import along_own_axes
-from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.tin.insertion_order import hilbert_order
@@ -51,12 +52,17 @@ PASSES, LINES = 3, 0.02
 STEPS, LEAST = 10, 6
 #: Points whose neighbours are held at once.
 BLOCK = 1024
+#: Stretches of a large cloud that show its noise, and points of each.
+STRETCHES, STRETCH = 64, 16_384
+#: Share of the points up to which distances are told of them and of their neighbours alone.
+PART = 0.2
 
 
 @dataclass(frozen=True)
 class CleaningResult:
-    """kept, strays : (k,), (s,) rows of the cloud · isolated_count : how many of the strays are so
-    · noise : of the cloud with its strays, None where it was not told
+    """kept, strays : (k,), (s,) rows of the cloud, what is kept such that neighbours in space are
+    neighbours in memory · isolated_count : how many of the strays are so · noise : of the cloud
+    with its strays, None where it was not told
     """
 
     kept: I64
@@ -202,17 +208,23 @@ def plane_kernel(
         search_and_ask(index, kept, cloud, chosen, some, out, far)
 
 
-def isolated_points(points: F64, flat: F64) -> Bool:
-    """Points (n,) whose neighbours in space are far for the points around them; flat : (n, 3), the
-    same points at height 0.
+def isolated_points(points: F64, flat: F64, asked: I64) -> Bool:
+    """Points (n,) of those ``asked`` (k,), rows, whose neighbours in space are far for the points
+    around them; flat : (n, 3), the same points at height 0.
     """
-    distance = nearest_distances(nearest_index(points), points, COMPANY + 1)
-    out = distance > ISOLATED * nearby_minimum(points, distance)
-    some = np.flatnonzero(out)
-    if len(some):
-        near = distance[nearest(nearest_index(flat), flat[some], AROUND)[0]]
-        near.partition(AROUND // 4, axis=1)
-        out[some] = distance[some] > ISOLATED * near[:, AROUND // 4]
+    out = np.zeros(len(points), np.bool_)
+    index, over = nearest_index(points), nearest_index(flat)
+    if len(asked) > PART * len(points):
+        distance = nearest_distances(index, points, COMPANY + 1)
+        asked = asked[(distance > ISOLATED * nearby_minimum(points, distance))[asked]]
+        around = nearest(over, flat[asked], AROUND)[0]
+    else:
+        around, distance = nearest(over, flat[asked], AROUND)[0], np.full(len(points), np.nan)
+        needed = np.zeros(len(points), np.bool_)
+        needed[around], needed[asked] = True, True
+        distance[needed] = nearest_distances(index, points[needed], COMPANY + 1)
+    near = np.partition(distance[around], AROUND // 4, axis=1)[:, AROUND // 4]
+    out[asked] = distance[asked] > ISOLATED * near
     return out
 
 
@@ -287,18 +299,24 @@ def _clean_near(points: F64) -> CleaningResult:
     everything = np.arange(len(points), dtype=np.int64)
     if len(points) < FEWEST:
         return CleaningResult(everything, everything[:0], 0)
-    # parallel kernels in this thread, whose workers wait for it
-    (order, r, isolated), noise = run_concurrently(
-        lambda: in_order_of_place(points), lambda: noise_if_told(points)
-    )
+    order, r = in_order_of_place(points)
+    noise = noise_if_told(stretches(r))
     if noise is None:
         return CleaningResult(everything, everything[:0], 0)
-    stray = find_strays(r, isolated, noise)
+    isolated, stray = find_strays(r, noise)
     strays = np.sort(order[stray]).astype(np.int64)
-    good = np.ones(len(points), bool)
-    good[strays] = False
     alone = int(np.count_nonzero(isolated & stray))
-    return CleaningResult(np.flatnonzero(good), strays, alone, noise)
+    return CleaningResult(order[~stray].astype(np.int64), strays, alone, noise)
+
+
+def stretches(r: F64) -> F64:
+    """Points (n, 3), m, in the order of place, or as many of them as show their noise: even
+    stretches of the curve, each as dense as all.
+    """
+    if len(r) <= 2 * STRETCHES * STRETCH:
+        return r
+    first = np.linspace(0, len(r) - STRETCH, STRETCHES).astype(np.int64)
+    return np.concatenate([r[k : k + STRETCH] for k in first.tolist()])
 
 
 def noise_if_told(points: F64) -> CloudNoise | None:
@@ -309,25 +327,33 @@ def noise_if_told(points: F64) -> CloudNoise | None:
         return None
 
 
-def in_order_of_place(points: F64) -> tuple[I32, F64, Bool]:
+def in_order_of_place(points: F64) -> tuple[I32, F64]:
     """Rows (n,) of points (n, 3), m, such that neighbours in space are neighbours in memory: the
     searches take half the time. Then, in that order, the points about their middle along their own
-    axes, and whether each is isolated.
+    axes.
     """
     order = hilbert_order(points[:, :2])
-    r = (points - np.round(points.mean(axis=0)))[order]
+    r = points[order]
+    r[:, 2] -= np.round(r[:, 2].mean())
     r[:, :2] = along_own_axes(r[:, :2])
-    return order, r, isolated_points(r, r * [1.0, 1.0, 0.0])
+    return order, r
 
 
-def find_strays(r: F64, isolated: Bool, noise: CloudNoise) -> Bool:
-    """Which of points r (n, 3), m, along their own axes, are strays; isolated : (n,)."""
-    everything, flat = np.arange(len(r), dtype=np.int64), r * [1.0, 1.0, 0.0]
-    cells = CELL * spacings(r[:, :2]) if noise.on_lines > LINES else None
-    sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r, axis=0).max()))
+def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
+    """Which points of r (n, 3), m, along their own axes, are isolated, of those that do not plainly
+    lie on the surface, and which are strays.
+    """
+    flat = r * [1.0, 1.0, 0.0]
+    sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r)))
+    cells, asked = None, np.arange(len(r), dtype=np.int64)
+    if noise.on_lines > LINES:
+        cells = CELL * spacings(r[:, :2])
+    else:
+        asked = np.flatnonzero(~plain_points(r, sigma))
+    isolated = isolated_points(r, flat, asked)
     limits = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
     cloud = Cloud(r, flat, isolated, sigma, limits)
-    good, chosen = np.ones(len(r), bool), everything
+    good, chosen = np.ones(len(r), bool), asked
     for _ in range(PASSES):
         found, far = beside_planes(cloud, good & ~isolated, chosen, cells)
         stray = chosen[found]
@@ -343,4 +369,4 @@ def find_strays(r: F64, isolated: Bool, noise: CloudNoise) -> Bool:
         chosen = chosen[nearest(gone, flat[chosen], 1)[1] <= far]
         if not len(chosen):
             break
-    return ~good
+    return isolated, ~good

@@ -30,6 +30,8 @@ from ladar_volume.tin.sampled_area import spacings
 
 #: Neighbours of a local fit with six coefficients, and the most points at which one is made.
 NEIGHBOURS, MOST_FITS = 18, 20_000
+#: Heights that show whether they are rounded.
+ENOUGH = 1_000_000
 #: Fewest points from which the noise is estimated.
 FEWEST = 2 * NEIGHBOURS
 #: Cells from which neighbours are taken, in spacings; neighbours at even sampling need none.
@@ -213,7 +215,7 @@ def cloud_noise(points: F64) -> CloudNoise:
     Roughness finer than the neighbourhood counts as noise. Raises :class:`SurfaceError` below
     :data:`FEWEST` distinct footprints.
     """
-    step = rounding_step(points[:, 2])
+    step = rounding_step(points[:: max(1, len(points) // ENOUGH), 2])
     first = distinct_rows(points[:, :2])
     copies = len(points) - len(first)
     own = points[first]

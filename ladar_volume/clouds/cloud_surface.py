@@ -164,7 +164,7 @@ def cloud_surface(
     cloud = rows_of(cloud, index)
     cleaned = remove_strays(cloud, how)
     strays, index = index[cleaned.strays], index[cleaned.kept]
-    cloud = rows_of(cloud, cleaned.kept)
+    cloud = cloud[cleaned.kept]
     cloud, index, changed = screen_points(cloud, index, screen_m, median_m)
     sigma, words = noise(
         cloud,

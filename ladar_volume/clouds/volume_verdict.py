@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.volume.centroid import plan_centre
 from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts, below_base, below_m6
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
@@ -83,12 +85,12 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
     area = np.bincount(part[mask], inside[mask], minlength=1)
     out = []
     for k in np.argsort(-area, kind="stable")[:most].tolist():
-        own = np.flatnonzero(part == k)
-        if not len(own):
+        own = part == k
+        if not own.any():
             break
-        p = tin.vertices[tin.triangles[own]]
-        x, y = (inside[own] @ p.mean(axis=1)[:, :2] / area[k]).tolist()
-        low, high = p.min(axis=(0, 1)).tolist(), p.max(axis=(0, 1)).tolist()
+        r = tin.vertices[vertex_mask(tin, own)]
+        low, high = r.min(axis=0).tolist(), r.max(axis=0).tolist()
+        x, y = plan_centre(tin, tin.triangles[own], inside[own])
         extent = (low[0], low[1], high[0], high[1])
         out.append(Place(x, y, extent, float(area[k]), high[2], low[2]))
     return out
@@ -308,8 +310,33 @@ def with_readings(
     return with_lines(volume, {"base_model": chosen}) if chosen > 0.0 else volume
 
 
-def volume_with_verdict(
+class SeenVolume(NamedTuple):
+    """volume : with what was not seen of the body · gaps : the doubts about that · height : (n,) m
+    of the vertices above the base · between : what lies between the points
+    """
+
+    volume: CloudVolume
+    gaps: list[Doubt]
+    height: F64
+    between: BetweenPoints
+
+
+def seen_volume(
     volume: CloudVolume,
+    surface: CloudSurface,
+    inside: F64,
+    parameters: Parameters,
+    base: Plane | None = None,
+) -> SeenVolume:
+    """A volume with its gaps, and what lies between its points, for :func:`volume_with_verdict`."""
+    moves = parameters.volume.outline != "all"
+    volume, gap_mask, gaps = with_gaps(volume, surface, inside, base, moves)
+    height = height_above(surface.representation.tin.vertices, base)
+    return SeenVolume(volume, gaps, height, between_points(surface, inside, height, ~gap_mask))
+
+
+def volume_with_verdict(
+    seen: SeenVolume,
     surface: CloudSurface,
     inside: F64,
     readings: GroundReadings | None,
@@ -322,9 +349,7 @@ def volume_with_verdict(
     """
     tin, v = surface.representation.tin, parameters.volume
     by_body = v.outline == "auto"
-    volume, gap_mask, gaps = with_gaps(volume, surface, inside, base, v.outline != "all")
-    height = height_above(tin.vertices, base)
-    between = between_points(surface, inside, height, ~gap_mask)
+    volume, gaps, height, between = seen
     found = with_edge(with_between_points(volume, between), surface, inside, height, by_body)
     doubts = (gaps or surface_doubts(surface, inside)) + coarse_doubts(found, between)
     doubts += shrunk_doubts(surface, inside, height, found)

@@ -23,6 +23,7 @@ from ladar_volume.ground.polynomial import (
     solve_points,
     tilt_of,
 )
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -225,9 +226,25 @@ def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundPa
             )
         except GroundError:
             return  # it grows into what is too steep to be ground
-    inside = points.take(grown.support, axis=0)
-    off = inside - [c.mean() for c in inside.T]
-    check_spread(off.T @ off / len(off), grown.rms_m)
+    check_spread(np.asarray(covariance_of(points, grown.support)), grown.rms_m)
+
+
+@kernel
+def covariance_of(points: F64, rows: I64) -> F64:
+    """Covariance (3, 3) m² of some (k,) of points (n, 3) m."""
+    mean, out = np.zeros(3), np.zeros((3, 3))
+    for i in rows:
+        mean += points[i] / len(rows)
+    for i in rows:
+        x, y, z = points[i, 0] - mean[0], points[i, 1] - mean[1], points[i, 2] - mean[2]
+        out[0, 0] += x * x
+        out[0, 1] += x * y
+        out[0, 2] += x * z
+        out[1, 1] += y * y
+        out[1, 2] += y * z
+        out[2, 2] += z * z
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    return out / len(rows)
 
 
 def check_spread(covariance: F64, rms_m: float) -> None:

@@ -17,20 +17,20 @@ GOLDEN, SPREAD = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
 
 
 @kernel
-def first_kernel(values: F64, bits: int) -> I64:
+def first_kernel(values: F64, bits: int, known: int) -> I64:
     """See :func:`first_equal`; the table has ``2**bits`` slots."""
     n, d = values.shape
     out, table = np.arange(n), np.full(1 << bits, -1, np.int32)
     row, number = np.empty(1), np.uint64(0)
     whole = row.view(np.uint64)
     for i in range(n):
-        key, known = number, True
+        key, whole_row = number, True
         for c in range(d):
             row[0] = values[i, c] + 0.0  # -0 is 0
-            known = known and row[0] == row[0]
+            whole_row = whole_row and row[0] == row[0]
             key = (key ^ whole[0]) * GOLDEN
             key = (key ^ (key >> np.uint64(29))) * SPREAD
-        if not known:
+        if not whole_row:
             continue
         slot = np.int64(key >> np.uint64(64 - bits))
         while table[slot] >= 0:
@@ -41,17 +41,18 @@ def first_kernel(values: F64, bits: int) -> I64:
                 out[i] = other
                 break
             slot = (slot + 1) & ((1 << bits) - 1)
-        if table[slot] < 0:
+        if table[slot] < 0 and i < known:
             table[slot] = i
     return out
 
 
-def first_equal(values: F64) -> I64:
+def first_equal(values: F64, known: int | None = None) -> I64:
     """For each row (n,) of values (n, d) the first row that is equal to it; a row with NaN equals
-    none but itself.
+    none but itself. known : only the first so many rows are compared with; None for all.
     """
     values = np.ascontiguousarray(values, dtype=np.float64)
-    return np.asarray(first_kernel(values, max(1, int(ROOM * len(values)).bit_length())))
+    known = len(values) if known is None else known
+    return np.asarray(first_kernel(values, max(1, int(ROOM * known).bit_length()), known))
 
 
 def distinct_rows(values: F64) -> I64:

@@ -17,7 +17,8 @@ A kernel's twin is another formulation in plain NumPy, which the tests compare w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -41,8 +42,12 @@ NO_COUNTS: dict[str, Any] = {"_nrt": False}
 
 #: Parts of an index that are shared out to the threads.
 PARTS = 64
+#: From so many elements on, a pass over them is shared out; a thread costs what some of them do.
+MANY = 400_000
 
 F = TypeVar("F", bound=Callable[..., Any])
+A = TypeVar("A")
+B = TypeVar("B")
 
 
 def kernel(function: F) -> F:
@@ -86,6 +91,14 @@ def parallel_kernel(function: F) -> F:
     return result
 
 
+def in_threads(work: Callable[[A], B], parts: Sequence[A]) -> list[B]:
+    """What ``work`` makes of each part, in as many threads as parallel kernels take. Raises what it
+    raises.
+    """
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        return list(pool.map(work, parts))
+
+
 def run_in_threads(
     kernel_of: Callable[..., object], index: npt.NDArray[np.int64], *arguments: Any
 ) -> None:
@@ -95,6 +108,15 @@ def run_in_threads(
     easy ones takes the next.
     """
     parts = np.array_split(index, min(PARTS, max(len(index), 1)))
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for _ in pool.map(lambda part: kernel_of(part, *arguments), parts):
-            pass  # what a part raises is raised here
+    in_threads(lambda part: kernel_of(part, *arguments), parts)
+
+
+def run_in_ranges(kernel_of: Callable[..., object], count: int, *arguments: Any) -> None:
+    """Call a kernel of one thread with (first, end, *arguments) for ranges of so many elements, in
+    several threads where they are many; each element writes its own part of an array.
+    """
+    if count < MANY:
+        kernel_of(0, count, *arguments)
+        return
+    edges = np.linspace(0, count, PARTS + 1).astype(np.int64).tolist()
+    in_threads(lambda part: kernel_of(*part, *arguments), list(itertools.pairwise(edges)))

@@ -18,6 +18,8 @@ F64 = npt.NDArray[np.float64]
 LONG = 0.05
 #: The middle of places is rounded to their extent over so many times 2, angles to one over this.
 MIDDLE_BITS, ANGLE = 20, 2.0**40
+#: Places that are summed at once.
+PART = 1024
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,18 @@ class OwnAxes:
 
     def along(self, xy: F64) -> F64:
         """Places (n, 2) m about the middle along these axes."""
-        c, s = math.cos(self.angle), math.sin(self.angle)
-        x, y = xy[:, 0] - self.middle[0], xy[:, 1] - self.middle[1]
-        out = np.empty((len(xy), 2))
-        out[:, 0], out[:, 1] = c * x + s * y, c * y - s * x
-        return out
+        x, y = self.middle.tolist()
+        return np.asarray(turned(xy, x, y, math.cos(self.angle), math.sin(self.angle)))
+
+
+@kernel
+def turned(xy: F64, x0: float, y0: float, c: float, s: float) -> F64:
+    """Places (n, 2) about (x0, y0) along axes at an angle with this cosine and sine."""
+    out = np.empty((len(xy), 2))
+    for i in range(len(xy)):
+        x, y = xy[i, 0] - x0, xy[i, 1] - y0
+        out[i, 0], out[i, 1] = c * x + s * y, c * y - s * x
+    return out
 
 
 def rounded_middle(mean: F64, extent: tuple[F64, F64]) -> F64:
@@ -51,13 +60,25 @@ def moments_about(xy: F64, middle: F64) -> F64:
     """Sums (5,) over places (n, 2) m about a middle (2,), as complex numbers z: of z² and z⁴, real
     and imaginary parts, and of the size of z².
     """
-    z = np.empty(len(xy), np.complex128)
-    z.real, z.imag = xy[:, 0] - middle[0], xy[:, 1] - middle[1]
-    square = z * z
-    second, size = square.sum(), float(np.abs(square).sum())
-    square *= square
-    fourth = square.sum()
-    return np.array([second.real, second.imag, fourth.real, fourth.imag, size])
+    out: F64 = np.asarray(moment_parts(xy, middle)).sum(axis=0)
+    return out
+
+
+@kernel
+def moment_parts(xy: F64, middle: F64) -> F64:
+    """The sums (k, 5) of :func:`moments_about` over every :data:`PART` places: a sum of few sums
+    has all its digits.
+    """
+    out = np.zeros((len(xy) // PART + 1, 5))
+    for i in range(len(xy)):
+        x, y, own = xy[i, 0] - middle[0], xy[i, 1] - middle[1], out[i // PART]
+        u, v = x * x - y * y, 2.0 * x * y
+        own[0] += u
+        own[1] += v
+        own[2] += u * u - v * v
+        own[3] += 2.0 * u * v
+        own[4] += math.hypot(u, v)
+    return out
 
 
 def axes_of(middle: F64, moments: F64) -> OwnAxes:

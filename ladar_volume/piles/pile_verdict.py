@@ -10,6 +10,7 @@ from ladar_volume.clouds.ground_readings import GroundReadings, ground_readings
 from ladar_volume.clouds.pair_verdict import pair_verdict
 from ladar_volume.clouds.volume_verdict import (
     faces_around,
+    seen_volume,
     surface_doubts,
     volume_with_verdict,
     with_growth,
@@ -101,8 +102,9 @@ def pile_with_verdict(
     if task.base == "second":
         return pair_with_verdict(site, part, task, volume)
     surface, inside = site.surface, part.inside_m2
+    seen = seen_volume(volume, surface, inside, parameters, reference)
     volume, verdict = volume_with_verdict(
-        volume, surface, inside, requested.readings, parameters, reference
+        seen, surface, inside, requested.readings, parameters, reference
     )
     if not same or not isinstance(ground, Plane):
         return volume, verdict

@@ -43,7 +43,7 @@ from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tin.full_tin import first_corners, footprint_areas, places_in
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
-from ladar_volume.tin.relevant import circle_kernel
+from ladar_volume.tin.relevant import circumdiameters
 
 #: Digits of a width that its bin leaves out, of 52 binary ones.
 COARSE_BITS = 40
@@ -121,7 +121,7 @@ def seen_widths(of: TiledCloud, tile: Tile, seen: Seen) -> tuple[F64, Widths]:
     area = footprint_areas(surface.tin.vertices, t)
     middle = middles_of(seen.squares.axes.along(surface.tin.vertices[:, :2])[t])
     low, high = extent_of(middle)
-    width = np.asarray(circle_kernel(surface.tin.vertices, t))
+    width = circumdiameters(surface.tin.vertices, t)
     return np.array([len(t), area.sum(), *low, *high]), in_bins(width, area)
 
 
@@ -129,7 +129,7 @@ def widths_in(of: TiledCloud, tile: Tile, seen: Seen, one: int) -> F64:
     """Width, m, and area, m², (k, 2) of the triangles looked at whose width is in one bin."""
     surface = surface_of(of.index, of.limits, tile)
     t = surface.tin.triangles[seen.of_tile(surface, tile)]
-    width = np.asarray(circle_kernel(surface.tin.vertices, t))
+    width = circumdiameters(surface.tin.vertices, t)
     some = bins_of(width) == one
     out: F64 = np.column_stack([width, footprint_areas(surface.tin.vertices, t)])[some]
     return out
@@ -239,7 +239,7 @@ def compare(of: TiledCloud, tile: Tile, kept: KeptPoints, seen: Seen) -> Shares:
     every = np.concatenate([tin.vertices[:, :2], coarse.vertices[:, :2]])
     own = tin.vertices[surface.own, :2]
     beside = write_shares(of, tile, kept.folder, own, (every, sums.gradient))
-    width = np.asarray(circle_kernel(coarse.vertices, coarse.triangles))
+    width = circumdiameters(coarse.vertices, coarse.triangles)
     some = sums.covered > 0.0
     write(kept.folder, "widths", tile, np.column_stack([width, sums.covered])[some])
     return Shares((True,), (beside,), in_bins(width[some], sums.covered[some]))

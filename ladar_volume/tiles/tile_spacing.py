@@ -57,7 +57,7 @@ class Rasters:
         for k in range(len(self.sizes)):
             filled = np.load(self.filled(k), mmap_mode="r", allow_pickle=False)
             found.append(np.asarray(filled[self.cells(k, xy)]))
-        return lasting_sizes(found, list(self.sizes))
+        return lasting_sizes(np.stack(found), self.sizes)
 
 
 def extent(of: TiledCloud, tile: Tile, axes: OwnAxes | None) -> F64:

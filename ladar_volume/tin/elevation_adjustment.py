@@ -146,9 +146,12 @@ def vertices_at_points(tin: Tin, points: F64) -> I64:
     out[at[same]] = own[same]
     rest = np.flatnonzero(out < 0)
     if len(rest):
-        xy = np.concatenate([tin.vertices[:, :2], points[rest, :2]])
-        first, n = first_equal(xy)[len(tin.vertices) :], len(tin.vertices)
-        out[rest] = np.where(first < n, first, -1)
+        # few, as a rule: where one of these stands is looked for among all vertices
+        first = first_equal(np.concatenate([points[rest, :2], tin.vertices[:, :2]]), len(rest))
+        here = np.flatnonzero(first[len(rest) :] < len(rest))
+        at = np.full(len(rest), -1, np.int64)
+        at[first[len(rest) + here]] = here
+        out[rest] = at[first[: len(rest)]]
     return out
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ladar_volume.math.equal_rows import rows_of
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.delaunay import finite_points, triangulate
 from ladar_volume.tin.triangle_table import precedes
@@ -59,21 +61,28 @@ def part_of(tin: Tin, chosen: Bool) -> Tin:
     )
 
 
-@kernel
-def area_kernel(vertices: F64, triangles: I32) -> F64:
-    """See :func:`footprint_areas`."""
-    out = np.empty(len(triangles))
-    for t in range(len(triangles)):
-        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        out[t] = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+@leaf_kernel
+def area_of(vertices: F64, triangles: I32, t: int) -> float:
+    """Signed horizontal area, m², of triangle t."""
+    a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+    out: float = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
     return out
+
+
+@kernel
+def area_kernel(first: int, end: int, vertices: F64, triangles: I32, out: F64) -> None:
+    """See :func:`footprint_areas`; some triangles."""
+    for t in range(first, end):
+        out[t] = area_of(vertices, triangles, t)
 
 
 def footprint_areas(vertices: F64, triangles: I32) -> F64:
     """Signed horizontal areas (m,) m² of triangles (m, 3) over vertices (n, 3); positive
     counter-clockwise from above.
     """
-    return np.asarray(area_kernel(vertices, triangles))
+    out = np.empty(len(triangles))
+    run_in_ranges(area_kernel, len(out), vertices, triangles, out)
+    return out
 
 
 @kernel
@@ -93,17 +102,27 @@ def vertex_mask(tin: Tin, mask: Bool) -> Bool:
 
 
 @kernel
-def any_kernel(triangles: I32, chosen: Bool) -> Bool:
-    """See :func:`any_corner`."""
-    out = np.empty(len(triangles), np.bool_)
-    for t in range(len(triangles)):
+def any_kernel(first: int, end: int, triangles: I32, chosen: Bool, out: Bool) -> None:
+    """See :func:`any_corner`; some triangles."""
+    for t in range(first, end):
         out[t] = chosen[triangles[t, 0]] or chosen[triangles[t, 1]] or chosen[triangles[t, 2]]
-    return out
 
 
 def any_corner(triangles: I32, chosen: Bool) -> Bool:
     """Which of triangles (m, 3) have a vertex among the ``chosen`` (n,)."""
-    return np.asarray(any_kernel(triangles, chosen))
+    out = np.empty(len(triangles), np.bool_)
+    run_in_ranges(any_kernel, len(out), triangles, chosen, out)
+    return out
+
+
+@leaf_kernel
+def first_corner(vertices: F64, triangles: I32, t: int) -> Any:
+    """The first vertex, of (n, 2) or (n, 3), of triangle t by x, then y."""
+    first = triangles[t, 0]
+    for c in range(1, 3):
+        if precedes(vertices, triangles[t, c], first):
+            first = triangles[t, c]
+    return first
 
 
 @kernel
@@ -111,9 +130,5 @@ def first_corners(vertices: F64, triangles: I32) -> I64:
     """The first vertex, of (n, 2) or (n, 3), of each triangle (m,) by x, then y."""
     out = np.empty(len(triangles), np.int64)
     for t in range(len(triangles)):
-        first = triangles[t, 0]
-        for c in range(1, 3):
-            if precedes(vertices, triangles[t, c], first):
-                first = triangles[t, c]
-        out[t] = first
+        out[t] = first_corner(vertices, triangles, t)
     return out

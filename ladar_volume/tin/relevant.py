@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 
-from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import area_kernel
+from ladar_volume.tin.full_tin import area_of
 
 #: How relevant triangles are told from others.
 OPTIONS = ("all", "corners", "edge", "circumcircle")
@@ -48,6 +48,22 @@ def edge_lengths(tin: Tin, mask: Bool | None = None) -> F64:
     return np.asarray(length_kernel(tin.vertices, t))
 
 
+@leaf_kernel
+def longest_side(a: F64, b: F64, c: F64) -> float:
+    """Horizontal length, m, of the longest side between corners (3,)."""
+    square = max(
+        (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2,
+        max((c[0] - b[0]) ** 2 + (c[1] - b[1]) ** 2, (a[0] - c[0]) ** 2 + (a[1] - c[1]) ** 2),
+    )
+    if square > TINY:
+        return math.sqrt(square)
+    out: float = max(
+        np.hypot(b[0] - a[0], b[1] - a[1]),
+        max(np.hypot(c[0] - b[0], c[1] - b[1]), np.hypot(a[0] - c[0], a[1] - c[1])),
+    )
+    return out
+
+
 @kernel
 def size_kernel(vertices: F64, triangles: I32, mask: Bool) -> tuple[float, float]:
     """Sums over the triangles in ``mask`` (m,) of their horizontal areas, m², and of their longest
@@ -62,34 +78,40 @@ def size_kernel(vertices: F64, triangles: I32, mask: Bool) -> tuple[float, float
                 vertices[triangles[t, 2]],
             )
             area += 0.5 * abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-            longest += max(
-                side_length(vertices, triangles, t, 0),
-                side_length(vertices, triangles, t, 1),
-                side_length(vertices, triangles, t, 2),
-            )
+            longest += longest_side(a, b, c)
     return area, longest
 
 
-@kernel
-def circle_kernel(vertices: F64, triangles: I32) -> F64:
-    """See :func:`circumdiameters`."""
-    out, area = np.full(len(triangles), np.inf), area_kernel(vertices, triangles)
-    for t in range(len(triangles)):
-        if area[t] != 0.0:
-            a, b, c = (
-                side_length(vertices, triangles, t, 0),
-                side_length(vertices, triangles, t, 1),
-                side_length(vertices, triangles, t, 2),
-            )
-            out[t] = a * b * c / (2.0 * abs(area[t]))
+@leaf_kernel
+def circumdiameter_of(vertices: F64, triangles: I32, t: int) -> float:
+    """Diameter of the horizontal circumcircle of triangle t, m; infinite where its area is 0."""
+    area = area_of(vertices, triangles, t)
+    if area == 0.0:
+        return np.inf
+    a, b, c = (
+        side_length(vertices, triangles, t, 0),
+        side_length(vertices, triangles, t, 1),
+        side_length(vertices, triangles, t, 2),
+    )
+    out: float = a * b * c / (2.0 * abs(area))
     return out
 
 
-def circumdiameters(tin: Tin) -> F64:
-    """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area;
-    infinite for a triangle so flat that its area rounds to zero.
+@kernel
+def circle_kernel(first: int, end: int, vertices: F64, triangles: I32, out: F64) -> None:
+    """See :func:`circumdiameters`; some triangles."""
+    for t in range(first, end):
+        out[t] = circumdiameter_of(vertices, triangles, t)
+
+
+def circumdiameters(vertices: F64, triangles: I32) -> F64:
+    """Diameters (m,) of the horizontal circumcircles of triangles (m, 3) over vertices (n, 3), m:
+    product of the edges over twice the area; infinite for a triangle so flat that its area rounds
+    to zero.
     """
-    return np.asarray(circle_kernel(tin.vertices, tin.triangles))
+    out = np.empty(len(triangles))
+    run_in_ranges(circle_kernel, len(out), vertices, triangles, out)
+    return out
 
 
 def step_of(tin: Tin) -> float:
@@ -153,7 +175,7 @@ def relevant_triangles(
         for edge in edge_lengths(tin).T:
             mask &= edge <= widened(tin, max_edge_m)
     elif option == "circumcircle":
-        mask &= circumdiameters(tin) <= widened(tin, max_circumdiameter_m)
+        mask &= circumdiameters(tin.vertices, tin.triangles) <= widened(tin, max_circumdiameter_m)
     return mask
 
 

@@ -14,18 +14,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import in_threads, kernel, leaf_kernel, run_in_ranges
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
 from ladar_volume.tin.locate import locate, triangle_index
-from ladar_volume.tin.relevant import circumdiameters, side_length
+from ladar_volume.tin.relevant import circumdiameter_of, side_length
 
 #: Fewest footprints that show a spacing.
 FEWEST = 100
@@ -68,17 +70,37 @@ class SampledArea:
     beyond: int = 0
 
 
-@kernel
-def fill_cells(xy: F64, low: F64, size: float, raster: Bool) -> I32:
-    """The cell (n,) of places (n, 2) in a raster (a, b) of square cells, with two empty ones before
-    the first, row by row; these are filled.
+@leaf_kernel
+def cell_in(xy: F64, i: int, low: F64, size: float, width: int) -> Any:
+    """The cell of place i of (n, 2) in a raster so wide of square cells, with two empty ones before
+    the first, row by row.
     """
-    out, width, flat = np.empty(len(xy), np.int32), raster.shape[1], raster.reshape(-1)
+    x, y = np.floor((xy[i, 0] - low[0]) / size), np.floor((xy[i, 1] - low[1]) / size)
+    return (np.int64(x) + 2) * width + np.int64(y) + 2
+
+
+class Corners(NamedTuple):
+    """Vertices (n, 3) m and triangles (m, 3)."""
+
+    vertices: F64
+    triangles: I32
+
+
+@kernel
+def fill_cells(xy: F64, low: F64, size: float, raster: Bool) -> None:
+    """Fill the cells of a raster (a, b) that places (n, 2) lie in."""
+    width, flat = raster.shape[1], raster.reshape(-1)
     for i in range(len(xy)):
-        x, y = np.floor((xy[i, 0] - low[0]) / size), np.floor((xy[i, 1] - low[1]) / size)
-        out[i] = (int(x) + 2) * width + int(y) + 2
-        flat[out[i]] = True
-    return out
+        flat[cell_in(xy, i, low, size, width)] = True
+
+
+@kernel
+def look_up(xy: F64, rows: I64, low: F64, size: float, raster: Bool, out: Bool) -> None:
+    """Write what a raster (a, b) says where some (k,) of places (n, 2) lie, all for none."""
+    width, flat = raster.shape[1], raster.reshape(-1)
+    for i in range(len(out)):
+        at = rows[i] if len(rows) else i
+        out[i] = flat[cell_in(xy, at, low, size, width)]
 
 
 def beside_full_blocks(raster: Bool) -> Bool:
@@ -97,18 +119,15 @@ def beside_full_blocks(raster: Bool) -> Bool:
     return out
 
 
-def in_filled_cells(
-    xy: F64, extent: tuple[F64, F64], size: float, rows: I64 | slice = slice(None)
-) -> Bool:
-    """Whether each of places (n, 2) m, between coordinates (2,), or of some rows (k,) of them, lies
-    in, or beside, a block of three by three cells of a raster that all hold one of them; cells of
-    ``size``.
+def in_filled_cells(xy: F64, extent: tuple[F64, F64], size: float, rows: I64, out: Bool) -> None:
+    """Write whether each of places (n, 2) m, between coordinates (2,), or of some rows (k,) of
+    them, lies in, or beside, a block of three by three cells of a raster that all hold one of them;
+    cells of ``size``.
     """
     low, count = raster_between(extent, size)
     raster = np.zeros(count + 4, bool)
-    cells = fill_cells(xy, low, size, raster)[rows]
-    out: Bool = beside_full_blocks(raster).reshape(-1)[cells]
-    return out
+    fill_cells(xy, low, size, raster)
+    look_up(xy, rows, low, size, beside_full_blocks(raster), out)
 
 
 def cell_sizes(some: F64, count: int, extent: tuple[F64, F64]) -> list[float]:
@@ -126,57 +145,89 @@ def cell_sizes(some: F64, count: int, extent: tuple[F64, F64]) -> list[float]:
     return sizes
 
 
-def spacings(xy: F64, rows: I64 | slice = slice(None)) -> F64:
+def spacings(xy: F64, rows: I64 | None = None) -> F64:
     """How far apart points (n, 2) m lie around each, or around some rows (k,) of them, across scan
     lines as along them, m: infinite where nothing around them is filled, and for fewer than
     :data:`FEWEST`. The raster lies along the points' own axes.
     """
     if len(xy) < FEWEST:
-        return np.full(len(xy), np.inf)[rows]
+        return np.full(len(xy) if rows is None else len(rows), np.inf)
     xy = along_own_axes(xy)
     extent = extent_of(xy)
     sizes = cell_sizes(xy[:: max(1, len(xy) // SAMPLED)], len(xy), extent)
-    return lasting_sizes([in_filled_cells(xy, extent, size, rows) for size in sizes], sizes)
+    some = np.zeros(0, np.int64) if rows is None else rows
+    filled = np.empty((len(sizes), len(xy) if rows is None else len(rows)), np.bool_)
+    in_threads(lambda k: in_filled_cells(xy, extent, sizes[k], some, filled[k]), range(len(sizes)))
+    return lasting_sizes(filled, sizes)
 
 
-def lasting_sizes(filled: list[Bool], sizes: list[float]) -> F64:
-    """The least of the sizes at which the cells about each of n places are filled, (n,) of each
-    size, and still are two steps on; where none lasts, the least.
+def lasting_sizes(filled: Bool, sizes: Sequence[float]) -> F64:
+    """The least of the sizes (s,) at which the cells about each of n places are filled (s, n), and
+    still are two steps on; where none lasts, the least.
     """
-    # a long and narrow strip has no block of three cells at its width
-    out = np.full(len(filled[0]), np.inf)
-    for k in reversed(range(len(sizes))):
-        out[filled[k]] = sizes[k]
-    lasting = np.full(len(out), np.inf)
-    for k in reversed(range(len(sizes) - PERSISTS)):
-        lasting[filled[k] & filled[k + PERSISTS]] = sizes[k]
-    return np.where(np.isfinite(lasting), lasting, out)
+    out = np.empty(filled.shape[1])
+    run_in_ranges(lasting_kernel, len(out), filled, np.array(sizes), out)
+    return out
 
 
 @kernel
-def corner_range(values: F64, triangles: I32) -> tuple[F64, F64]:
-    """Least and greatest (m,) of values (n,) at the corners of triangles (m, 3)."""
-    low, high = np.empty(len(triangles)), np.empty(len(triangles))
-    for t in range(len(triangles)):
-        a, b, c = values[triangles[t, 0]], values[triangles[t, 1]], values[triangles[t, 2]]
-        low[t], high[t] = min(a, min(b, c)), max(a, max(b, c))
-    return low, high
+def lasting_kernel(first: int, end: int, filled: Bool, sizes: F64, out: F64) -> None:
+    """See :func:`lasting_sizes`; filled : (s, n), some of the places."""
+    for i in range(first, end):
+        # a long and narrow strip has no block of three cells at its width
+        out[i], last = np.inf, len(sizes) - 1
+        for k in range(last, -1, -1):
+            if filled[k, i]:
+                out[i] = sizes[k]
+        for k in range(last - PERSISTS + 1):
+            if filled[k, i] and filled[k + PERSISTS, i]:
+                out[i] = sizes[k]
+                break
+
+
+@leaf_kernel
+def least_at(values: F64, triangles: I32, t: int) -> float:
+    """The least of values (n,) at the corners of triangle t."""
+    out: float = min(values[triangles[t, 0]], min(values[triangles[t, 1]], values[triangles[t, 2]]))
+    return out
+
+
+@leaf_kernel
+def greatest_at(values: F64, triangles: I32, t: int) -> float:
+    """The greatest of values (n,) at the corners of triangle t."""
+    out: float = max(values[triangles[t, 0]], max(values[triangles[t, 1]], values[triangles[t, 2]]))
+    return out
 
 
 @kernel
-def peel_kernel(vertices: F64, triangles: I32, neighbours: I32, spacing: F64, area: F64) -> I64:
+def wide_kernel(
+    first: int, end: int, tin: Corners, mask: Bool, spacing: F64, bridged: Bool, gap: Bool
+) -> None:
+    """Write which triangles of the mask (m,) have a circumcircle that is wide for the spacing (n,)
+    m at one of their corners, ``bridged``, and at all, ``gap``; of some.
+    """
+    for t in range(first, end):
+        bridged[t] = gap[t] = False
+        if mask[t]:
+            wide = circumdiameter_of(tin.vertices, tin.triangles, t)
+            bridged[t] = wide > BRIDGE * least_at(spacing, tin.triangles, t)
+            gap[t] = wide > HOLE * greatest_at(spacing, tin.triangles, t)
+
+
+@kernel
+def peel_kernel(vertices: F64, triangles: I32, neighbours: I32, spacing: F64, area: F64) -> I32:
     """See :func:`peel_gaps`: the side of the hull (a number from 0) behind which each triangle (m,)
-    goes, -1 where it stays. spacing : (m,) m, that of the triangles
+    goes, -1 where it stays. spacing : (n,) m, that of the vertices
     """
     m = len(neighbours)
-    out, stack = np.full(m, -1, np.int64), np.empty(3 * m + 3, np.int64)
+    out, stack = np.full(m, -1, np.int32), np.empty(m, np.int32)
     sides = 0
     for first in range(m):
         for k in range(3):
             if neighbours[first, k] >= 0 or out[first] >= 0:
                 continue
             length = side_length(vertices, triangles, first, k)
-            if not length > LONG * spacing[first]:
+            if not length > LONG * least_at(spacing, triangles, first):
                 continue
             out[first], stack[0], top, taken, done = sides, first, 1, 0, 0
             queue = [first]
@@ -188,14 +239,16 @@ def peel_kernel(vertices: F64, triangles: I32, neighbours: I32, spacing: F64, ar
                     o = neighbours[t, j]
                     if o < 0 or out[o] >= 0:
                         continue
-                    if side_length(vertices, triangles, t, j) > LONG * spacing[o]:
+                    if side_length(vertices, triangles, t, j) > LONG * least_at(
+                        spacing, triangles, o
+                    ):
                         out[o], stack[top] = sides, o
                         queue.append(o)
                         top += 1
             total, deep = 0.0, 0.0
             for t in queue:
                 total += area[t]
-                deep += area[t] * (DEEP * spacing[t])
+                deep += area[t] * (DEEP * least_at(spacing, triangles, t))
             if not total * total > deep * length:
                 for t in queue:
                     out[t] = -2 - sides  # too shallow: another side may still reach it
@@ -210,7 +263,7 @@ def peel_gaps(tin: Tin, spacing_m: F64, area: F64) -> Bool:
     in the mean deeper than the spacing. spacing_m : (n,) of the vertices · area : (m,) m²
     """
     # between points that show no spacing nothing stands in the way
-    at = corner_range(np.where(np.isfinite(spacing_m), spacing_m, 0.0), tin.triangles)[0]
+    at = np.where(np.isfinite(spacing_m), spacing_m, 0.0)
     side = peel_kernel(tin.vertices, tin.triangles, tin.neighbours, at, area)
     out: Bool = side >= 0
     return out
@@ -240,17 +293,13 @@ def sampled_area(tin: Tin) -> SampledArea:
     size = np.bincount(part[mask], minlength=1)
     mask[mask] = size[part[mask]] > FEWEST // 10
     del part  # what is known of every triangle takes as much memory as the cloud
-    wide = circumdiameters(tin)
-    least, at = corner_range(np.where(known, spacing, 0.0), tin.triangles)
-    bridged = mask & (wide > BRIDGE * least)
-    del least
-    gap = mask & (wide > HOLE * at)
-    del wide
+    bridged, gap, shown = np.empty_like(mask), np.empty_like(mask), np.where(known, spacing, 0.0)
+    corners = Corners(tin.vertices, tin.triangles)
+    run_in_ranges(wide_kernel, len(mask), corners, mask, shown, bridged, gap)
     number = parts_kernel(tin.neighbours, gap)[gap]
     hole = np.bincount(number, area[gap], minlength=1)
-    mean = np.bincount(number, at[gap] ** 2, minlength=1) / np.maximum(
-        np.bincount(number, minlength=1), 1
-    )
+    at = shown[tin.triangles[gap]].max(axis=1)
+    mean = np.bincount(number, at**2, minlength=1) / np.maximum(np.bincount(number, minlength=1), 1)
     large = hole > (2.0 * HOLE) ** 2 * mean
     gap[gap] = large[number]
     return SampledArea(

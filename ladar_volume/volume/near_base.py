@@ -35,7 +35,7 @@ from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import PACKED, folded_means, positive_parts
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64, part_around
-from ladar_volume.volume.prismoids import gather, positive_part
+from ladar_volume.volume.prismoids import gather, mean_above
 from ladar_volume.volume.remaining_fold import RemainingFold, remaining_fold, scatter_factor
 
 #: A triangle counts as near where its heights come within this many standard deviations of the
@@ -173,10 +173,29 @@ def loads(height: F64, t: I32, area: F64, near: Bool, slope_near: F64) -> tuple[
     triangles near it with the mean derivatives (k, 3), for the others among t (m, 3) of areas (m,)
     m² with their sign.
     """
-    n, slope = len(height), np.empty((len(t), 3))
-    slope[~near], slope[near] = positive_part(height[t[~near]])[1], slope_near
-    net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
-    return load(slope, area, t, n), net
+    cut, net = np.zeros(len(height)), np.zeros(len(height))
+    loads_kernel(height, t, area, near, slope_near, cut, net)
+    return cut, net
+
+
+@kernel
+def loads_kernel(
+    height: F64, t: I32, area: F64, near: Bool, slope_near: F64, cut: F64, net: F64
+) -> None:
+    """See :func:`loads`; adds to cut and net (n,)."""
+    h, slope, count = np.empty(3), np.empty(3), 0
+    for i in range(len(t)):
+        if near[i]:
+            for c in range(3):
+                slope[c] = slope_near[count, c]
+            count += 1
+        else:
+            for c in range(3):
+                h[c] = height[t[i, c]]
+            mean_above(h, slope)
+        for c in range(3):
+            cut[t[i, c]] += slope[c] * area[i]
+            net[t[i, c]] += area[i] / 3.0
 
 
 def near_base(

@@ -12,7 +12,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
-from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
+from ladar_volume.tin.full_tin import any_corner, area_of, footprint_areas, vertex_mask
 from ladar_volume.volume.centroid import plan_centre
 
 
@@ -37,17 +37,25 @@ def bodies(
         words += pit_words(tin, height, object_height_m)
         raise VolumeError(words, reason="volume_no_body", value=object_height_m)
     label = components(tin, rising)
-    chosen = np.flatnonzero(rising)
-    h = height[tin.triangles[chosen]]
-    volume = footprint_areas(tin.vertices, tin.triangles[chosen]) * (
-        (h[:, 0] + h[:, 1] + h[:, 2]) / 3.0
-    )
-    total = np.bincount(label[chosen], volume)
+    total = np.asarray(volume_by_part(tin.vertices, tin.triangles, height, label))
     order = np.argsort(-total, kind="stable")
     kept = [
         int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)
     ]
     return [label == k for k in (kept[:count] if count else kept)]
+
+
+@kernel
+def volume_by_part(vertices: F64, triangles: I32, height: F64, label: I64) -> F64:
+    """Volumes (k,) m³ of the parts that triangles belong to by their ``label`` (m,), -1 for none;
+    height : (n,) m above the base.
+    """
+    out = np.zeros(label.max() + 1)
+    for t in range(len(triangles)):
+        if label[t] >= 0:
+            a, b, c = height[triangles[t, 0]], height[triangles[t, 1]], height[triangles[t, 2]]
+            out[label[t]] += area_of(vertices, triangles, t) * ((a + b + c) / 3.0)
+    return out
 
 
 def pit_words(tin: Tin, height: F64, depth_m: float) -> str:

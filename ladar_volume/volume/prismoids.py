@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_gradient, degree_of, design
+from ladar_volume.ground.polynomial import (
+    base_gradient,
+    degree_of,
+    design_products,
+    height_above,
+)
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
@@ -157,12 +162,11 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None, sideways: bool = 
     if not chosen.any():
         raise VolumeError("no triangle lies inside the outline", reason="volume_no_triangle")
     v, xy = tin.vertices, tin.vertices[:, :2]
-    X = design(xy, base.origin_xy, degree_of(base))
     (cut, fill, area), g_cut, g_net = prismoid_kernel(
-        v, tin.triangles, chosen, v[:, 2] - X @ base.beta, 3 if sideways else 1
+        v, tin.triangles, chosen, height_above(v, base), 3 if sideways else 1
     )
-    b_cut, b_net = -(X.T @ g_cut[:, -1]), -(X.T @ g_net[:, -1])
-    del X  # as large as the cloud
+    by_height = np.column_stack([g_cut[:, -1], g_net[:, -1]])
+    b_cut, b_net = -design_products(v, base.origin_xy, degree_of(base), by_height).T
     if sideways:
         slope_base = base_gradient(base, xy)
         for gradient in (g_cut, g_net):
@@ -178,6 +182,15 @@ def gather(corner: F64, triangles: I32, n: int) -> F64:
     """Sum per-corner rows (m, 3, k) at their vertices: (n, k); the order of the sum is that of the
     triangles.
     """
-    index = triangles.ravel()
-    rows = corner.reshape(len(index), corner.shape[-1])
-    return np.stack([np.bincount(index, rows[:, c], n) for c in range(rows.shape[1])], axis=1)
+    out = np.zeros((n, corner.shape[2]))
+    gather_kernel(corner, triangles, out)
+    return out
+
+
+@kernel
+def gather_kernel(corner: F64, triangles: I32, out: F64) -> None:
+    """See :func:`gather`."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            for c in range(out.shape[1]):
+                out[triangles[t, k], c] += corner[t, k, c]

@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.clouds import between_points, cloud_cleaning, cloud_noise
 from ladar_volume.clouds.cloud_surface import cloud_surface
+from ladar_volume.clouds.sampling import plain_places
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adjustment_adjoint import triangle_slopes
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
@@ -80,10 +81,83 @@ def test_isolated_points_are_those_of_every_point_among_its_neighbours(seed):
     around = cKDTree(p[:, :2]).query(p[:, :2], cloud_cleaning.AROUND)[1]
     usual = np.sort(distance[around], axis=1)[:, cloud_cleaning.AROUND // 4]
     wanted = distance > cloud_cleaning.ISOLATED * usual
-    found = cloud_cleaning.isolated_points(p, p * [1.0, 1.0, 0.0])
+    found = cloud_cleaning.isolated_points(p, p * [1.0, 1.0, 0.0], np.arange(len(p)))
     # of neighbours equally far any may be taken
     assert np.count_nonzero(found != wanted) <= (6 if seed % 2 else 0)
     assert 20 < np.count_nonzero(wanted) < 600
+
+
+def test_isolated_points_of_a_few_are_those_of_all_among_these():
+    p = points(9, 3000)
+    p[:60, 2] += np.random.default_rng(9).uniform(-8, 8, 60)
+    flat = p * [1.0, 1.0, 0.0]
+    every = cloud_cleaning.isolated_points(p, flat, np.arange(len(p)))
+    some = np.r_[0:40, 500:700]
+    found = cloud_cleaning.isolated_points(p, flat, some)
+    assert 10 < found.sum() and np.array_equal(np.flatnonzero(found), some[every[some]])
+    assert not cloud_cleaning.isolated_points(p, flat, some[:0]).any()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_plain_points_lie_on_the_plane_of_their_block(seed):
+    """Against least squares by NumPy, block by block."""
+    rng = np.random.default_rng(seed)
+    r = points(seed, 8000)
+    r[:80, 2] += rng.uniform(-2.0, 2.0, 80)
+    r = r[(r[:, 0] < 15.0) | (r[:, 1] < 9.0)]  # a corner is empty
+    r[:, 2] *= 0.1
+    sigma = 0.008  # waves bend within a block by more, here and there
+    found = plain_places.plain_points(r, sigma)
+    low, high = r[:, :2].min(axis=0), r[:, :2].max(axis=0)
+    size = np.sqrt(np.prod(high - low) * plain_places.MEAN / len(r))
+    cell = np.floor((r[:, :2] - low) / size)
+    wanted = np.zeros(len(r), np.bool_)
+    for one in np.unique(cell, axis=0):
+        block = r[(np.abs(cell - one) <= 1.0).all(axis=1)]
+        own = (cell == one).all(axis=1)
+        X = np.c_[np.ones(len(block)), block[:, :2] - low]
+        beta = np.linalg.lstsq(X, block[:, 2], rcond=None)[0]
+        rough = np.sqrt(((block[:, 2] - X @ beta) ** 2).sum() / max(len(block) - 3, 1))
+        spread = np.linalg.eigvalsh(np.cov(block[:, :2].T, bias=True)).min() / size**2
+        off = np.abs(r[own, 2] - beta[0] - (r[own, :2] - low) @ beta[1:])
+        good = len(block) >= plain_places.FEWEST and spread > plain_places.SPREAD
+        good = good and rough <= plain_places.ROUGH * sigma
+        wanted[own] = good & (off <= plain_places.WITHIN * sigma)
+    assert 0.2 < wanted.mean() < 0.9
+    assert np.array_equal(found, wanted)
+
+
+def test_plain_points_hide_no_stray(monkeypatch):
+    p = points(11, 20_000)
+    rng = np.random.default_rng(11)
+    off = rng.choice(len(p), 150, replace=False)
+    p[off, 2] += rng.choice([-1.0, 1.0], 150) * rng.uniform(0.05, 3.0, 150)
+    found = cloud_cleaning.clean(p)
+    none = np.zeros(len(p), np.bool_)
+    monkeypatch.setattr(cloud_cleaning, "plain_points", lambda r, sigma_m: none)
+    every = cloud_cleaning.clean(p)
+    assert len(every.strays) > 100 and np.array_equal(found.strays, every.strays)
+
+
+def test_the_noise_of_stretches_is_that_of_all(monkeypatch):
+    p = points(12, 40_000)
+    whole = cloud_cleaning.clean(p)
+    monkeypatch.setattr(cloud_cleaning, "STRETCHES", 8)
+    monkeypatch.setattr(cloud_cleaning, "STRETCH", 1000)
+    part = cloud_cleaning.clean(p)
+    assert part.noise.sigma_m == pytest.approx(whole.noise.sigma_m, rel=0.05)
+    assert part.noise.sigma_m != whole.noise.sigma_m
+
+
+def test_the_surface_does_not_depend_on_the_order_of_the_points():
+    p = points(13, 5000)
+    one = cloud_surface(p, SurfaceParameters(relevant="sampled"), how="auto")
+    order = np.random.default_rng(1).permutation(len(p))
+    two = cloud_surface(p[order], SurfaceParameters(relevant="sampled"), how="auto")
+    assert np.array_equal(one.points, two.points)
+    assert np.array_equal(one.index, order[two.index])
+    assert np.array_equal(one.representation.tin.triangles, two.representation.tin.triangles)
+    assert np.array_equal(p[one.index], one.points)
 
 
 def test_few_strays_do_not_move_the_noise():

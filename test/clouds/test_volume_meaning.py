@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,9 +121,8 @@ def test_a_triangle_over_a_step_is_off_by_what_it_holds_of_it_or_by_what_it_lack
     held = float(cut_sequence(tin, np.array([0.0])).cut_m3[0])
     all_m3 = 10.0 * 3.0
     expected = held if sum(heights) < 4.0 else all_m3 - held
-    made = SimpleNamespace(tin=tin, sampled_area=SimpleNamespace(bridged=np.array([True])))
-    surface = SimpleNamespace(representation=made)
-    found = between.bridged_deviation(surface, np.array([10.0]), tin.vertices[:, 2])
+    every = np.ones(1, np.bool_)
+    found = between.bridged_deviation(tin, np.array([10.0]), tin.vertices[:, 2], every)
     assert found == pytest.approx(expected)
     seen = dataclasses.replace(between.BetweenPoints(0.04, 0.3, found), random_m6=0.16)
     assert seen.variance_m6 == pytest.approx(0.25)

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_threads
+from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges, run_in_threads
 
 
 @leaf_kernel
@@ -63,6 +63,20 @@ def test_threads_get_every_index_once(count):
     times = np.zeros(3 + count, np.int64)
     run_in_threads(counted, np.arange(3, 3 + count), times)
     assert times.tolist() == [0, 0, 0] + [1] * count
+
+
+@kernel
+def counted_range(first, end, times):
+    for i in range(first, end):
+        times[i] += 1
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 999, 1000, 1001, 5432])
+def test_ranges_hold_every_element_once(count, monkeypatch):
+    monkeypatch.setattr("ladar_volume.math.kernels.MANY", 1000)
+    times = np.zeros(count, np.int64)
+    run_in_ranges(counted_range, count, times)
+    assert (times == 1).all()
 
 
 def test_what_a_part_raises_is_raised():

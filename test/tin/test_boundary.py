@@ -176,4 +176,6 @@ def test_limits_of_the_options_and_flat_triangles():
             relevant_triangles(tin, option, edge, circle)
         assert caught.value.reason == "surface_limit"
     flat = build_tin(np.array([[0.0, 0, 0], [1e-300, 1e-200, 0], [1.0, 0, 0], [0.5, 1.0, 0]]))
-    assert (circumdiameters(flat) > 0).all() and not np.isnan(circumdiameters(flat)).any()
+    assert (circumdiameters(flat.vertices, flat.triangles) > 0).all() and not np.isnan(
+        circumdiameters(flat.vertices, flat.triangles)
+    ).any()

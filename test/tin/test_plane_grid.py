@@ -9,7 +9,7 @@ from ladar_volume.math.plane_grid import fullest, nearest_in_grid, plane_grid
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.relevant import edge_lengths, mark_relevant, size_kernel
-from ladar_volume.tin.sampled_area import corner_range, fill_cells
+from ladar_volume.tin.sampled_area import fill_cells, greatest_at, lasting_sizes, least_at, look_up
 
 RNG = np.random.default_rng(8)
 EVEN = RNG.uniform(-3, 10, (600, 2))
@@ -50,9 +50,10 @@ def test_extents_corners_and_sizes() -> None:
     assert np.array_equal([low, high], [EVEN.min(axis=0), EVEN.max(axis=0)])
     tin = build_tin(np.c_[EVEN, EVEN[:, 0]])
     value = RNG.normal(size=len(EVEN))
-    least, most = corner_range(value, tin.triangles)
     corner = value[tin.triangles]
-    assert np.array_equal([least, most], [corner.min(axis=1), corner.max(axis=1)])
+    for t in range(len(corner)):
+        assert least_at(value, tin.triangles, t) == corner[t].min()
+        assert greatest_at(value, tin.triangles, t) == corner[t].max()
     mask = RNG.random(len(tin.triangles)) < 0.5
     area, longest = size_kernel(tin.vertices, tin.triangles, mask)
     a, b, c = np.moveaxis(tin.vertices[tin.triangles[mask], :2], 1, 0)
@@ -65,9 +66,21 @@ def test_extents_corners_and_sizes() -> None:
 
 def test_cells_that_hold_a_place_are_filled() -> None:
     low, raster = extent_of(EVEN)[0], np.zeros((40, 40), bool)
-    cells = fill_cells(EVEN, low, 0.4, raster)
+    fill_cells(EVEN, low, 0.4, raster)
     at = np.floor((EVEN - low) / 0.4).astype(int) + 2
     wanted = np.zeros_like(raster)
     wanted[at[:, 0], at[:, 1]] = True
-    assert np.array_equal(cells, at @ [40, 1])
     assert np.array_equal(raster, wanted)
+    every, some = np.empty(len(EVEN), np.bool_), np.array([7, 3, 200])
+    look_up(EVEN, np.zeros(0, np.int64), low, 0.4, wanted[::-1].copy(), every)
+    assert np.array_equal(every, wanted[::-1][at[:, 0], at[:, 1]]) and 0 < every.sum() < len(EVEN)
+    few = np.empty(3, np.bool_)
+    look_up(EVEN, some, low, 0.4, wanted[::-1].copy(), few)
+    assert np.array_equal(few, every[some])
+
+
+def test_the_size_that_lasts_is_the_least_that_is_filled_two_steps_on_as_well() -> None:
+    sizes = [1.0, 2.0, 3.0, 4.0]
+    wanted = {"0000": np.inf, "1010": 1.0, "1001": 1.0, "0101": 2.0, "0110": 2.0, "1101": 2.0}
+    filled = np.array([[c == "1" for c in word] for word in wanted]).T.copy()
+    assert lasting_sizes(filled, sizes).tolist() == list(wanted.values())

@@ -55,7 +55,7 @@ def test_measures_of_a_right_triangle():
     assert sorted(edge_lengths(tin)[0]) == pytest.approx([3, 4, 5])
     opposite = edge_lengths(tin)[0][tin.triangles[0] == 0]
     assert opposite == pytest.approx(5)
-    assert circumdiameters(tin) == pytest.approx([5])
+    assert circumdiameters(tin.vertices, tin.triangles) == pytest.approx([5])
 
 
 def test_the_four_options():

@@ -19,7 +19,8 @@ import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.tin.relevant import size_kernel
 
 #: Side, m, of the square as large as a site below which the lengths shrink with it.
 YARD_M = 12.0
@@ -42,9 +43,9 @@ class SiteSize:
 def size_of(surface: CloudSurface) -> SiteSize:
     """The size of the site of a surface."""
     tin = surface.representation.tin
-    area = float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
+    area, _ = size_kernel(tin.vertices, tin.triangles, tin.relevant)
     noise = math.nan if surface.sigma_m is None else float(np.median(surface.sigma_m))
-    return SiteSize(area, int(np.count_nonzero(vertex_mask(tin, tin.relevant))), noise)
+    return SiteSize(float(area), int(np.count_nonzero(vertex_mask(tin, tin.relevant))), noise)
 
 
 def site_lengths(parameters: Parameters, site: SiteSize, named: Collection[str] = ()) -> Parameters:

@@ -13,7 +13,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.array_types import U64
 from ladar_volume.model.records import F64, I32, I64, Plane, Tin
-from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.tin.full_tin import any_corner, build_tin, footprint_areas
 
 #: Vertices within so many spacings of a stray are triangulated with it.
 AROUND = 8.0
@@ -83,7 +83,7 @@ def shares(tin: Tin, inside_m2: F64, area: F64, rows: I64) -> tuple[U64, F64]:
     """
     number = np.full(len(tin.vertices), -1, np.int32)
     number[rows] = np.arange(len(rows), dtype=np.int32)
-    among = np.flatnonzero((number[tin.triangles] >= 0).all(axis=1))
+    among = np.flatnonzero(~any_corner(tin.triangles, number < 0))
     name = names_of(number[tin.triangles[among]])
     order = np.argsort(name)
     part = inside_m2[among] / np.where(area[among] > 0.0, area[among], 1.0)

@@ -143,10 +143,18 @@ def on_lattice(column: F64, step: float) -> bool:
 
 def no_place(r: F64) -> str:
     """Why coordinates (n, 3), NaN for none, are none of a place; empty where they may be."""
-    far = float(np.nanmax(np.abs(r), initial=0.0))
+    low, high = np.nanmin(r, axis=0, initial=np.inf), np.nanmax(r, axis=0, initial=-np.inf)
+    return words_on_ends(np.column_stack([low, high]))
+
+
+def words_on_ends(ends: F64) -> str:
+    """Why coordinates between these (3, 2), least and greatest of each axis, are none of a place;
+    infinite, the other way round, where an axis has none.
+    """
+    low, high = ends.T
+    far = float(np.where(low <= high, np.maximum(np.abs(low), np.abs(high)), 0.0).max())
     if far > FARTHEST:
         return f"coordinates up to {far:.3g}: no place is so far; check the file or its export"
-    low, high = np.nanmin(r, axis=0, initial=np.inf), np.nanmax(r, axis=0, initial=-np.inf)
     wide = float((high - low).max())
     if 0.0 < wide < NARROWEST:
         return f"all points lie within {wide:.3g}: no place is so small; check the file"
@@ -157,6 +165,9 @@ def rows_without_return(r: F64) -> Bool:
     """(n,) points with a NaN coordinate: no return. Raises :class:`CloudError` (cloud_not_finite,
     value: how many are not finite) where some are infinite.
     """
+    ends = np.array([[c.min(), c.max()] for c in r.T])  # of numbers alone, all is said by these
+    if np.isfinite(ends).all() and not words_on_ends(ends):
+        return np.zeros(len(r), np.bool_)
     if np.isinf(r).any():
         bad = int(np.count_nonzero(~np.isfinite(r).all(axis=1)))
         raise CloudError(

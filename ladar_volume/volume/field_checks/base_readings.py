@@ -21,12 +21,15 @@ from scipy.special import stdtrit
 
 from ladar_volume.ground.polynomial import (
     COEFFICIENTS,
+    PART,
     base_height,
     degree_of,
     design,
     height_above,
+    write_row,
 )
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin, Volume
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import boundary_sides, side_ends
 from ladar_volume.tin.full_tin import vertex_mask
@@ -112,13 +115,27 @@ def area_moments(tin: Tin, inside_m2: F64, origin: F64, scale: float, degree: in
     """Integrals (p,) over the outline of the terms of a polynomial in ``(xy − origin) / scale``: by
     the three middles of the sides of each triangle, exact to degree 2.
     """
-    rows = np.flatnonzero(inside_m2 > 0.0)
-    p = tin.vertices[tin.triangles[rows], :2]
-    total = np.zeros(COEFFICIENTS[degree])
-    for k in range(3):
-        middle = 0.5 * (p[:, k] + p[:, (k + 1) % 3])
-        total += inside_m2[rows] / 3.0 @ design((middle - origin) / scale, np.zeros(2), degree)
-    return total
+    sums = np.zeros((len(tin.triangles) // PART + 1, COEFFICIENTS[degree]))
+    moments_kernel(tin.vertices, tin.triangles, inside_m2, origin, scale, sums)
+    out: F64 = sums.sum(axis=0)
+    return out
+
+
+@kernel
+def moments_kernel(
+    vertices: F64, triangles: I32, inside_m2: F64, origin: F64, scale: float, sums: F64
+) -> None:
+    """See :func:`area_moments`: sums (k, p) over every :data:`PART` triangles."""
+    row = np.empty(sums.shape[1])
+    for t in range(len(triangles)):
+        if not inside_m2[t] > 0.0:
+            continue
+        for k in range(3):
+            a, b = vertices[triangles[t, k]], vertices[triangles[t, (k + 1) % 3]]
+            x, y = 0.5 * (a[0] + b[0]) - origin[0], 0.5 * (a[1] + b[1]) - origin[1]
+            write_row(x / scale, y / scale, row)
+            for c in range(len(row)):
+                sums[t // PART, c] += inside_m2[t] / 3.0 * row[c]
 
 
 def fit_weights(xy: F64, moments: F64, origin: F64, scale: float, degree: int) -> F64:

@@ -136,18 +136,19 @@ def find_gaps(tin: Tin, inside_m2: F64, spacing_m: F64 | None = None) -> Gaps:
     inside = inside_m2 > 0.0
     longest = edge_lengths(tin, inside).max(axis=1)
     usual = float(np.median(longest)) if len(longest) else 0.0
-    here = np.full(len(inside), usual)
+    here = np.full(len(longest), usual)
     if spacing_m is not None:
         near = np.where(np.isfinite(spacing_m), spacing_m, 0.0)[tin.triangles[inside]]
-        here[inside] = np.maximum(usual, np.median(near, axis=1))
+        here = np.maximum(usual, np.median(near, axis=1))
+    over = longest > GAP * here
     wide = inside.copy()
-    wide[inside] = longest > GAP * here[inside]
+    wide[inside] = over
     number = np.full(len(inside), -1, np.int64)
     if not wide.any():
         return Gaps(number, np.zeros(0), usual)
     part = components(tin, wide)
     area: F64 = np.bincount(part[wide], inside_m2[wide]).astype(np.float64)
-    square = np.bincount(part[wide], here[wide] ** 2) / np.bincount(part[wide])
+    square = np.bincount(part[wide], here[over] ** 2) / np.bincount(part[wide])
     order = np.argsort(-area, kind="stable")
     order = order[area[order] > LEAST**2 * square[order]]
     rank = np.full(len(area), -1, np.int64)

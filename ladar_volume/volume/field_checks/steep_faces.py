@@ -19,7 +19,8 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.equal_rows import distinct_cells
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.volume.centroid import plan_centre
@@ -61,11 +62,24 @@ class SteepFaces(NamedTuple):
     y_m: float
 
 
+@kernel
+def face_kernel(vertices: F64, triangles: I32, rows: I64) -> tuple[F64, F64]:
+    """See :func:`face_areas`."""
+    area, flat = np.empty(len(rows)), np.empty(len(rows))
+    for i in range(len(rows)):
+        a, b, c = triangles[rows[i], 0], triangles[rows[i], 1], triangles[rows[i], 2]
+        ux, uy = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+        vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
+        uz, vz = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        area[i], flat[i] = 0.5 * math.sqrt(x * x + y * y + z * z), 0.5 * z
+    return area, flat
+
+
 def face_areas(tin: Tin, rows: I64) -> tuple[F64, F64]:
     """Area (k,) m² of triangles, and its horizontal projection."""
-    a, b, c = (tin.vertices[corner] for corner in tin.triangles[rows].T)
-    n = 0.5 * np.cross(b - a, c - a)
-    return np.linalg.norm(n, axis=1), np.asarray(n[:, 2])
+    area, flat = face_kernel(tin.vertices, tin.triangles, rows)
+    return np.asarray(area), np.asarray(flat)
 
 
 def wall_m6(tin: Tin, inside: Bool, wall_m: float = WALL_M) -> float:
@@ -147,13 +161,13 @@ def faces_to_base(tin: Tin, base: Plane, inside: Bool, least_m: float) -> F64:
     """
     rows = np.flatnonzero(inside)
     area, flat = face_areas(tin, rows)
-    height = height_above(tin.vertices, base)[tin.triangles[rows]]
-    side = tin.vertices[tin.triangles[rows]]
-    side -= np.roll(side, -1, axis=1)
+    rows = rows[flat < FACE * area]  # few
+    t = tin.triangles[rows]
+    height = height_above(tin.vertices, base)[t].min(axis=1)
+    side = tin.vertices[t] - tin.vertices[np.roll(t, -1, axis=1)]
     rise = np.abs(side[..., 2])
     steep_side = (rise > STEP_M) & (rise > SIDE * np.hypot(side[..., 0], side[..., 1]))
-    high = steep_side.any(axis=1) & (height.min(axis=1) < least_m)
-    corners = tin.vertices[tin.triangles[rows[high & (flat < FACE * area)]], :2]
+    corners = tin.vertices[t[steep_side.any(axis=1) & (height < least_m)], :2]
     sides = 0.5 * (corners + np.roll(corners, -1, axis=1))
     return np.asarray(np.concatenate([corners, sides]).reshape(-1, 2))
 
