@@ -53,7 +53,7 @@ STEPS, LEAST = 10, 6
 #: Points whose neighbours are held at once.
 BLOCK = 1024
 #: Stretches of a large cloud that show its noise, and points of each.
-STRETCHES, STRETCH = 64, 16_384
+STRETCHES, STRETCH = 64, 4096
 #: Share of the points up to which distances are told of them and of their neighbours alone.
 PART = 0.2
 

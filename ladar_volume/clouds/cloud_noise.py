@@ -135,13 +135,22 @@ def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
     size = np.sqrt((d[..., :2] ** 2).sum(axis=2).mean(axis=1))
     u, v = (d[..., k] / np.where(size > 0, size, 1.0)[:, None] for k in (0, 1))
     X = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2)
-    N = np.einsum("nki,nkj->nij", X, X) + 1e-9 * np.eye(6)
+    N = X.transpose(0, 2, 1) @ X + 1e-9 * np.eye(6)
     first = np.linalg.solve(N, np.broadcast_to(np.eye(6)[:, :1], (len(N), 6, 1)))[..., 0]
     # the quadric's height over the point itself
     level = np.einsum("nki,ni,nk->n", X, first, d[..., 2])
-    s = np.linalg.svd(d[..., :2] - d[..., :2].mean(axis=1, keepdims=True), compute_uv=False)
-    narrow = s[:, 1] / np.maximum(s[:, 0], 1e-300)
-    return level / np.sqrt(1.0 + np.maximum(first[:, 0], 0.0)), narrow
+    return level / np.sqrt(1.0 + np.maximum(first[:, 0], 0.0)), narrowness(d)
+
+
+def narrowness(d: F64) -> F64:
+    """How narrow the footprints of points d (n, k, 3) are for their length, (n,): the ratio of
+    their standard deviations along their own axes.
+    """
+    x, y = (d[..., k] - d[..., k].mean(axis=1, keepdims=True) for k in (0, 1))
+    xx, yy, xy = ((a * b).sum(axis=1) for a, b in ((x, x), (y, y), (x, y)))
+    half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    least = np.maximum(xx * yy - xy * xy, 0.0) / np.maximum(half + apart, 1e-300)
+    return np.sqrt(least / np.maximum(half + apart, 1e-300))
 
 
 def nearest_in_plane(xy: F64, places: F64, k: int) -> tuple[I64, F64]:

@@ -35,7 +35,12 @@ from ladar_volume.tin.boundary import border, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.centroid import plan_centre
 from ladar_volume.volume.cutfill import with_net
-from ladar_volume.volume.field_checks.base_readings import base_reading_doubts, below_base, below_m6
+from ladar_volume.volume.field_checks.base_readings import (
+    base_reading_doubts,
+    below_base,
+    doubted_m6,
+    unsettled,
+)
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
@@ -306,7 +311,7 @@ def with_readings(
     if readings is not None and readings.others is not None:
         volume = dataclasses.replace(volume, freedom=readings.others.freedom)
         chosen = max(chosen, readings.others.variance_m6)
-    chosen += below_m6(doubts)
+    chosen += doubted_m6(doubts)
     return with_lines(volume, {"base_model": chosen}) if chosen > 0.0 else volume
 
 
@@ -355,6 +360,7 @@ def volume_with_verdict(
     doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found, by_body and base is not None)
+    doubts += [] if base is None else unsettled(base, found.sigma_m3)
     if base is None:
         return with_readings(found, readings, doubts), Verdict(tuple(doubts))
     if math.isnan(found.sigma_m3):

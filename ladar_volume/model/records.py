@@ -326,7 +326,8 @@ class Plane:
 
     origin_xy : (2,) m · beta : (p,) with x = (1, dx, dy[, dx², dx dy, dy²[, dx³, dx² dy, dx dy²,
     dy³]]) · C_beta : (p, p) independent part · support : (k,) int64 indices of the points that
-    define it (empty for a design surface)
+    define it (empty for a design surface) · unsettled_m3 : what the volume changes by where base
+    and outline, which define each other, go on changing
     """
 
     origin_xy: F64
@@ -334,6 +335,7 @@ class Plane:
     C_beta: F64
     support: I64
     rms_m: float = 0.0
+    unsettled_m3: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from ladar_volume.piles.pile_site import (
 )
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.uncertainty.ground_field import Roughness
-from ladar_volume.volume.field_checks.base_readings import below_base, below_m6
+from ladar_volume.volume.field_checks.base_readings import below_base, doubted_m6
 from ladar_volume.volume.field_checks.completeness import wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
 from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
@@ -117,7 +117,7 @@ def pile_with_verdict(
     doubts += wall_doubts(part.tin, ground, mask, faces, rise)
     if volume.net_m3 > 0.0 and task.base in GROUND_BASES:
         lying = below_base(volume.cut_m3, volume.fill_m3, volume.sigma_fill_m3)
-        chosen = volume.budget_m6.get("base_model", 0.0) + below_m6(lying)
+        chosen = volume.budget_m6.get("base_model", 0.0) + doubted_m6(lying)
         volume = with_lines(volume, {"base_model": chosen}) if lying else volume
         doubts += lying
     return volume, verdict + Verdict(tuple(doubts))

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.ground.robust_ground import fit_ground, refine
 from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.model.errors import VolumeError
@@ -18,9 +18,10 @@ from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.outline import bodies, shares, surroundings, widen_body
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
-#: Base and outline settle in two or three rounds; where triangles come and go the first repetition
-#: ends it.
-MAX_ROUNDS = 10
+#: Base and outline settle in two or three rounds; the first repetition ends it, with what the
+#: triangles that come and go until then make of the volume. Where none repeats, that is told of the
+#: last rounds, so many.
+MAX_ROUNDS, LAST = 10, 3
 #: Stands where no base is needed.
 ZERO = design_surface([0.0])
 
@@ -56,10 +57,24 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
         )
         base = dataclasses.replace(refined, support=ring[refined.support])
         inside = area_inside(tin, base, p, known)
-        if any(np.array_equal(inside, earlier) for earlier in seen):
-            break  # settled, or a triangle or two come and go
+        again = [k for k, earlier in enumerate(seen) if np.array_equal(inside, earlier)]
+        if again:
+            seen = seen[again[0] + 1 :]
+            break
         seen.append(inside)
-    return base, inside
+    others = [earlier for earlier in seen[-LAST:] if earlier is not inside]
+    moved = max((abs(volume_between(tin, base, other, inside)) for other in others), default=0.0)
+    return dataclasses.replace(base, unsettled_m3=moved), inside
+
+
+def volume_between(tin: Tin, base: Plane, one: F64, two: F64) -> float:
+    """Net volume above a base, m³, within the second of two outlines (m,) m² less that within the
+    first.
+    """
+    rows = np.flatnonzero(one != two)
+    r = tin.vertices[tin.triangles[rows]].reshape(-1, 3)
+    height = height_above(r, base).reshape(-1, 3).mean(axis=1)
+    return float((two[rows] - one[rows]) @ height)
 
 
 def area_inside(

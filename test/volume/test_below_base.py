@@ -2,7 +2,7 @@
 
 import pytest
 
-from ladar_volume.volume.field_checks.base_readings import below_base, below_m6
+from ladar_volume.volume.field_checks.base_readings import below_base, doubted_m6
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ from ladar_volume.volume.field_checks.base_readings import below_base, below_m6
 def test_a_trench_in_the_outline_is_named_and_a_pit_is_none(cut, fill, sigma, told):
     doubts = below_base(cut, fill, sigma)
     assert [d.name for d in doubts] == ["below_base"] * told
-    assert below_m6(doubts) == (min(cut, fill) ** 2 if told else 0.0)
+    assert doubted_m6(doubts) == (min(cut, fill) ** 2 if told else 0.0)
     if told:
         assert doubts[0].value == min(cut, fill)
         assert f"{min(cut, fill):.3g} m³" in doubts[0].text

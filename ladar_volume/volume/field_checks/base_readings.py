@@ -235,11 +235,24 @@ def below_base(cut_m3: float, fill_m3: float, sigma_m3: float) -> list[Doubt]:
     return [Doubt("below_base", words, less)]
 
 
-def below_m6(doubts: list[Doubt]) -> float:
-    """Variance, m⁶, by what lies below the base, where that is doubted: it may not belong to the
-    body at all.
+def unsettled(base: Plane, sigma_m3: float) -> list[Doubt]:
+    """Outline and ground go on changing each other. sigma_m3 : of the volume without that."""
+    if not base.unsettled_m3 > sigma_m3:
+        return []
+    words = (
+        "outline and ground do not settle: the ground around one outline makes another, and the "
+        f"volume changes by {base.unsettled_m3:.3g} m³; the ground is no plane there: draw "
+        "volume.polygon_m, give a level, set ground.degree, or narrow volume.ground_ring_m"
+    )
+    return [Doubt("outline_unsettled", words, base.unsettled_m3)]
+
+
+def doubted_m6(doubts: list[Doubt]) -> float:
+    """Variance, m⁶, by what lies below the base and by an outline that does not settle, where
+    these are doubted: it may not belong to the body at all.
     """
-    return sum((doubt.value or 0.0) ** 2 for doubt in doubts if doubt.name == "below_base")
+    names = ("below_base", "outline_unsettled")
+    return sum((doubt.value or 0.0) ** 2 for doubt in doubts if doubt.name in names)
 
 
 def outline_points(tin: Tin, inside: Bool) -> I64:

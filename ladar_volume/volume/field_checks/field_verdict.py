@@ -36,9 +36,10 @@ from ladar_volume.volume.field_checks.base_readings import (
     base_reading_doubts,
     base_readings,
     below_base,
-    below_m6,
+    doubted_m6,
     given_base_doubts,
     student_factor,
+    unsettled,
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
@@ -190,13 +191,14 @@ def with_base(
     if found is None:
         return volume
     told = base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base)
+    told += unsettled(base, volume.sigma_m3)
     if volume.cut_m3 > volume.fill_m3:  # a pit has a rim
         told += below_base(volume.cut_m3, volume.fill_m3, volume.sigma_m3)
     doubts = Verdict(tuple(told))
     share = volume.budget_m6.get("base_surface", 0.0) / max(volume.sigma_m3**2, 1e-300)
     factor = student_factor(volume.coverage_factor, volume.confidence, share, found.freedom)
     volume = dataclasses.replace(volume, coverage_factor=factor, verdict=volume.verdict + doubts)
-    return with_line(volume, "base_model", found.variance_m6 + below_m6(told))
+    return with_line(volume, "base_model", found.variance_m6 + doubted_m6(told))
 
 
 def budget_scales(found: Agreement | None, check: str, lines: Iterable[str]) -> dict[str, float]:
