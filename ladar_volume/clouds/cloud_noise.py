@@ -150,7 +150,8 @@ def narrowness(d: F64) -> F64:
     xx, yy, xy = ((a * b).sum(axis=1) for a, b in ((x, x), (y, y), (x, y)))
     half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     least = np.maximum(xx * yy - xy * xy, 0.0) / np.maximum(half + apart, 1e-300)
-    return np.sqrt(least / np.maximum(half + apart, 1e-300))
+    out: F64 = np.sqrt(least / np.maximum(half + apart, 1e-300))
+    return out
 
 
 def nearest_in_plane(xy: F64, places: F64, k: int) -> tuple[I64, F64]:

@@ -18,7 +18,12 @@ import numpy as np
 from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_inverse, ground_residuals
-from ladar_volume.ground.polynomial import degree_of, design_surface, height_above, monomials
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import (
+    degree_of,
+    design_surface,
+    monomials,
+)
 from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin

@@ -13,7 +13,7 @@ from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, neighbours, robust_sigma
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt

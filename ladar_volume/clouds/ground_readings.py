@@ -15,7 +15,7 @@ from ladar_volume.clouds.body_volume import Body, Uncertain
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_residuals
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.model.parameters import Parameters

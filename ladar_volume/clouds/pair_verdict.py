@@ -31,7 +31,8 @@ from ladar_volume.clouds.sampling.pair_registration import (
     with_offset,
 )
 from ladar_volume.clouds.volume_verdict import with_lines
-from ladar_volume.ground.polynomial import design_surface, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt, Verdict

@@ -27,7 +27,7 @@ from ladar_volume.clouds.sampling.layers import layer_doubts, two_layers
 from ladar_volume.clouds.sampling.objects_beside import beside_doubts, objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict

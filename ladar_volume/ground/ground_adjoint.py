@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of, solve_points
+from ladar_volume.ground.heights import solve_points
+from ladar_volume.ground.polynomial import degree_of
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64, Plane
 

@@ -12,7 +12,12 @@ import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_gradient, exponents
+from ladar_volume.ground.polynomial import (
+    COEFFICIENTS,
+    design,
+    design_gradient,
+    exponents,
+)
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters

@@ -14,13 +14,15 @@ import math
 import numpy as np
 
 from ladar_volume.ground.ground_sampling import best_candidate
-from ladar_volume.ground.polynomial import (
-    COEFFICIENTS,
-    base_height,
+from ladar_volume.ground.heights import (
     design_sums,
     height_above,
     heights_above,
     solve_points,
+)
+from ladar_volume.ground.polynomial import (
+    COEFFICIENTS,
+    base_height,
     tilt_of,
 )
 from ladar_volume.math.kernels import kernel

@@ -15,7 +15,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.ground.clusters import clusters
-from ladar_volume.ground.polynomial import base_height, degree_of, design
+from ladar_volume.ground.polynomial import (
+    base_height,
+    degree_of,
+    design,
+)
 from ladar_volume.ground.robust_ground import COARSE_M, THRESHOLD_SIGMAS, fit_ground
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ladar_volume.ground.polynomial import design, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import design
 from ladar_volume.mesh.ground_clipping import steepness
 from ladar_volume.mesh.hole_filling import ears, inside_loop, loop_area
 from ladar_volume.mesh.linear_mesh import (

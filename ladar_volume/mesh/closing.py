@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import degree_of
 from ladar_volume.mesh.bottom_closing import (
     IN_PLANE,
     Closure,

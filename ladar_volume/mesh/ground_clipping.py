@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import design
 from ladar_volume.mesh.linear_mesh import GROUND, Faces, LinearMesh, blocks, extend_mesh
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I64, Plane

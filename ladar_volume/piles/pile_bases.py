@@ -12,7 +12,11 @@ from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import ZERO, Solid, has_selected_vertices, solid_above
 from ladar_volume.ground.ground_adjoint import ground_gradient
-from ladar_volume.ground.polynomial import base_height, degree_of, design
+from ladar_volume.ground.polynomial import (
+    base_height,
+    degree_of,
+    design,
+)
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import Pile

@@ -17,7 +17,7 @@ from ladar_volume.clouds.pair_verdict import pair_ground
 from ladar_volume.clouds.volume_verdict import (
     with_lines,
 )
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.piles import ALIKE, PILE_BASES, Pile
 from ladar_volume.model.records import F64, Plane

@@ -13,7 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design, design_surface, solve
+from ladar_volume.ground.polynomial import (
+    design,
+    design_surface,
+    solve,
+)
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Plane, Tin
 from ladar_volume.piles.toe_line import ToeLine, toe_line

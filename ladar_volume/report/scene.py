@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.records import F64, I64, Bool, Estimate, Plane, Tin
 from ladar_volume.tin.locate import height_at, locate, triangle_index
 from ladar_volume.uncertainty.epoch_budget import Epoch

@@ -8,7 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_height, design, design_surface
+from ladar_volume.ground.polynomial import (
+    base_height,
+    design,
+    design_surface,
+)
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import Tile

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of, design, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import degree_of, design
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud

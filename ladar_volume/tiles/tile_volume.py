@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of, design, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import degree_of, design
 from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import VertexSelection, vertices

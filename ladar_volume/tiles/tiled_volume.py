@@ -18,7 +18,8 @@ from ladar_volume.clouds.cloud_noise import cloud_noise
 from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, with_noise
 from ladar_volume.clouds.sampling.site_lengths import SiteSize, site_lengths
 from ladar_volume.clouds.volume_verdict import with_lines
-from ladar_volume.ground.polynomial import design_surface, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import ParameterValueError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane

@@ -8,7 +8,8 @@ import dataclasses
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design_surface, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.robust_ground import fit_ground, refine
 from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.model.errors import VolumeError

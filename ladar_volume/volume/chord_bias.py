@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, Plane, Tin
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin

@@ -26,7 +26,7 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import VolumeError

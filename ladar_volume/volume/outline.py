@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin

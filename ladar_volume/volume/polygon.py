@@ -10,7 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design
+from ladar_volume.ground.polynomial import (
+    base_gradient,
+    base_height,
+    degree_of,
+    design,
+)
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin

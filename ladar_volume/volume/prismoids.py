@@ -13,12 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import (
-    base_gradient,
-    degree_of,
-    design_products,
-    height_above,
-)
+from ladar_volume.ground.heights import design_products, height_above
+from ladar_volume.ground.polynomial import base_gradient, degree_of
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin

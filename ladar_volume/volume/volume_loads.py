@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ladar_volume.ground.ground_adjoint import add_ground_gradient, ground_residuals
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
     F64,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from ladar_volume.ground import polynomial
+from ladar_volume.ground import heights
 from ladar_volume.ground.ground_adjoint import (
     add_ground_gradient,
     ground_gradient,
@@ -353,17 +353,21 @@ def test_plants_on_the_ground_do_not_raise_its_threshold():
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("seed", range(3))
-def test_sums_part_by_part_are_those_of_all_rows(degree, seed, monkeypatch):
-    monkeypatch.setattr(polynomial, "PART", 37)
+def test_sums_part_by_part_are_those_of_all_rows(degree, seed):
     rng = np.random.default_rng(seed)
-    points, origin = rng.normal(0.0, 5.0, (200, 3)), np.array([0.5, -1.0])
-    inside, weight = rng.random(200) < 0.6, rng.uniform(0.1, 2.0, 200)
+    n = int(2.5 * heights.PART)
+    points, origin = rng.normal(0.0, 5.0, (n, 3)), np.array([0.5, -1.0])
+    inside, weight = rng.random(n) < 0.6, rng.uniform(0.1, 2.0, n)
     X, z = design(points[inside, :2], origin, degree), points[inside, 2]
-    square, right = polynomial.design_sums(points, inside, origin, degree, weight)
-    np.testing.assert_allclose(square, X.T @ np.diag(weight[inside]) @ X, rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(right, X.T @ (weight[inside] * z), rtol=1e-12, atol=1e-9)
-    beta, N = polynomial.solve_points(points, inside, origin, degree)
+    square, right = heights.design_sums(points, inside, origin, degree, weight)
+    np.testing.assert_allclose(square, X.T @ (weight[inside, None] * X), rtol=1e-11, atol=1e-7)
+    np.testing.assert_allclose(right, X.T @ (weight[inside] * z), rtol=1e-11, atol=1e-7)
+    values = rng.normal(size=(n, 2))
+    every = design(points[:, :2], origin, degree)
+    found = heights.design_products(points, origin, degree, values)
+    np.testing.assert_allclose(found, every.T @ values, rtol=1e-11, atol=1e-7)
+    beta, N = heights.solve_points(points, inside, origin, degree)
     np.testing.assert_allclose(beta, np.linalg.lstsq(X, z, rcond=None)[0], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(N, np.linalg.inv(X.T @ X), rtol=1e-7, atol=1e-14)
-    above = polynomial.heights_above(points, origin, beta)
+    above = heights.heights_above(points, origin, beta)
     np.testing.assert_allclose(above[inside], z - X @ beta, rtol=1e-9, atol=1e-9)

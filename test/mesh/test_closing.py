@@ -12,7 +12,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from benchmarks.truth import box_faces, rotation, sample_polygons
-from ladar_volume.ground.polynomial import design_surface, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.mesh import hole_filling
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close

@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_surface
+from ladar_volume.ground.polynomial import (
+    COEFFICIENTS,
+    design,
+    design_surface,
+)
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.tin.full_tin import build_tin, vertex_mask
 from ladar_volume.uncertainty.ground_field import (

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.array_types import U64
 from ladar_volume.model.records import F64, I32, I64, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, build_tin, footprint_areas

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.georeference.geodesy import LocalFrame
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.io.export.deliverable import (
     Deliverable,
     SurfacePoints,

@@ -19,14 +19,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
+from ladar_volume.ground.heights import (
+    PART,
+    height_above,
+    write_row,
+)
 from ladar_volume.ground.polynomial import (
     COEFFICIENTS,
-    PART,
     base_height,
     degree_of,
     design,
-    height_above,
-    write_row,
 )
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin, Volume

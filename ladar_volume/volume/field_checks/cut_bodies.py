@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.polynomial import base_height, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.choices import CALIBRATION_GROUPS, SOURCE_LINES
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, SurfaceFilterParameters

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ladar_volume.ground.polynomial import base_height, height_above
+from ladar_volume.ground.heights import height_above
+from ladar_volume.ground.polynomial import base_height
 from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import VolumeParameters

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import border, parts_kernel

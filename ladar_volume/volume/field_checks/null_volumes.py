@@ -17,7 +17,11 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import chdtrc
 
-from ladar_volume.ground.polynomial import base_height, degree_of, design
+from ladar_volume.ground.polynomial import (
+    base_height,
+    degree_of,
+    design,
+)
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import height_above
+from ladar_volume.ground.heights import height_above
 from ladar_volume.model.records import F64, I64, Plane, Tin
 from ladar_volume.tin.boundary import border
 from ladar_volume.tin.relevant import edge_lengths
