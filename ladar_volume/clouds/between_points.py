@@ -19,6 +19,7 @@ from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.math.equal_rows import few_values, rows_of
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
@@ -63,9 +64,9 @@ class BetweenPoints:
 def thin_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I64:
     """Rows (k,) of places (n, 2): one of each cell of 1.5 spacings (n,), shifted by so many."""
     out = []
-    for size in np.unique(spacing[np.isfinite(spacing)]).tolist():
+    for size in few_values(spacing):
         own = np.flatnonzero(spacing == size)
-        out.append(own[thin_by_cells(points[own], CELL * size, shift)])
+        out.append(own[thin_by_cells(rows_of(points, own), CELL * size, shift)])
     return np.concatenate(out) if out else np.zeros(0, np.int64)
 
 
@@ -94,7 +95,7 @@ def between_points(
     spacing, own = surface.spacing_m, along_own_axes(tin.vertices[:, :2])
     if np.count_nonzero(inside > 0.0) - np.count_nonzero(bridged) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
-    seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing, own)
+    seen, share = some_squares(tin, inside, bridged, spacing, own)
     finest, near = wide(tin, seen), near_triangles(tin, own, seen, spacing)
     found = []
     for shift in shifts_for(int(np.count_nonzero(seen > 0))):
@@ -154,27 +155,30 @@ def squares_every(triangles: int) -> int:
     return math.ceil(triangles / ENOUGH)
 
 
-def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, float]:
-    """The areas (m,) m² of triangles within the outline, 0 for those that others stand for; and
-    what part of the area is left. xy : (n, 2) m, the vertices along their own axes.
+def some_squares(tin: Tin, inside: F64, bridged: Bool, spacing: F64, xy: F64) -> tuple[F64, float]:
+    """The areas (m,) m² of triangles within the outline, 0 for those ``bridged`` (m,) and for those
+    that others stand for; and what part of the area is left. xy : (n, 2) m, the vertices along
+    their own axes.
     """
-    every = squares_every(int(np.count_nonzero(inside > 0)))
+    every = squares_every(np.count_nonzero(inside > 0.0) - np.count_nonzero(bridged))
     side = SQUARE * float(np.median(spacing))
     if every < 2 or not math.isfinite(side):
-        return inside, 1.0
+        return np.where(bridged, 0.0, inside), 1.0
     low, _ = raster_of(xy, side)
     # asked of the vertices: there are half as many as triangles
     chosen = chosen_squares(xy, low, side, every)
-    kept = np.asarray(chosen_areas(tin.vertices, tin.triangles, chosen, inside))
-    return kept, float(kept.sum() / inside.sum())
+    kept = np.asarray(chosen_areas(tin.vertices, tin.triangles, chosen, inside, bridged))
+    return kept, float(kept.sum() / (inside.sum() - inside[bridged].sum()))
 
 
 @kernel
-def chosen_areas(vertices: F64, triangles: I32, chosen: Bool, inside: F64) -> F64:
-    """The areas (m,) m² of triangles whose first corner is ``chosen`` (n,), 0 of others."""
+def chosen_areas(vertices: F64, triangles: I32, chosen: Bool, inside: F64, bridged: Bool) -> F64:
+    """The areas (m,) m² of triangles whose first corner is ``chosen`` (n,), 0 of others and of
+    those ``bridged`` (m,).
+    """
     out = np.zeros(len(inside))
     for t in range(len(inside)):
-        if inside[t] > 0.0 and chosen[first_corner(vertices, triangles, t)]:
+        if inside[t] > 0.0 and not bridged[t] and chosen[first_corner(vertices, triangles, t)]:
             out[t] = inside[t]
     return out
 

@@ -11,6 +11,8 @@ from ladar_volume.math.kernels import kernel
 
 #: Least number of slots in the table per row.
 ROOM = 2
+#: Values that are looked up one by one.
+TABLE = 64
 #: Odd numbers that spread the bits (Steele, Lea & Flood 2014, "Fast splittable pseudorandom number
 #: generators").
 GOLDEN, SPREAD = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
@@ -81,3 +83,35 @@ def rows_of(values: F64, rows: I32 | I64) -> F64:
     the values themselves where these are all, not a copy.
     """
     return np.ascontiguousarray(values if len(rows) == len(values) else values[rows])
+
+
+@kernel
+def few_kernel(values: F64, found: F64) -> int:
+    """Put the finite ones of ``values`` (n,) into ``found`` (k,), each once, as they come; how many
+    there are, k + 1 where they are more.
+    """
+    count, last = 0, np.nan
+    for value in values:
+        if value == last or not np.isfinite(value):
+            continue
+        last, known = value, False
+        for k in range(count):
+            known = known or found[k] == value
+        if not known:
+            if count == len(found):
+                return count + 1
+            found[count] = value
+            count += 1
+    return count
+
+
+def few_values(values: F64) -> list[float]:
+    """The finite ones of ``values`` (n,), each once, ascending: a pass over them where they are as
+    few as a table holds, and sorted where they are not.
+    """
+    found = np.empty(TABLE)
+    count = int(few_kernel(values, found))
+    if count > TABLE:
+        found = np.unique(values[np.isfinite(values)])
+        count = len(found)
+    return sorted(found[:count].tolist())

@@ -77,7 +77,7 @@ def rising_parts(
     tin = surface.tin
     height = height_above(tin.vertices, base)
     high = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
-    label = np.asarray(parts_kernel(tin.neighbours, high))
+    label = np.asarray(parts_kernel(tin.neighbours, high), np.int64)
     own = np.flatnonzero(high & surface.counted)
     t = tin.triangles[own]
     volume = footprint_areas(tin.vertices, t) * height[t].mean(axis=1)
@@ -150,7 +150,7 @@ def grow(
     mask = chosen_parts(read(folder, "rising", tile), chosen)
     close = near_stored_places(tin.vertices[:, :2], folder, "body", neighbours, margin_m)
     grown = tin.relevant & (mask | any_corner(tin.triangles, close))
-    label = np.asarray(parts_kernel(tin.neighbours, ~grown))
+    label = np.asarray(parts_kernel(tin.neighbours, ~grown), np.int64)
     leads = (label >= 0) & (~tin.relevant | (tin.neighbours == -1).any(axis=1))
     total = np.bincount(label[leads], minlength=label.max(initial=-1) + 1).astype(np.float64)
     write(folder, "grown", tile, label)

@@ -114,11 +114,11 @@ def ears_kernel(neighbours: I32, lengths: F64, mask: Bool, limit: float) -> None
 
 
 @kernel
-def parts_kernel(neighbours: I32, mask: Bool) -> I64:
+def parts_kernel(neighbours: I32, mask: Bool) -> I32:
     """Number (m,) of the part each triangle of the mask belongs to, parts joined by edges, numbered
     by their first triangle; -1 off it.
     """
-    part, stack, parts = np.full(len(mask), -1, np.int64), np.empty(len(mask), np.int32), 0
+    part, stack, parts = np.full(len(mask), -1, np.int32), np.empty(len(mask), np.int32), 0
     for first in range(len(mask)):
         if not mask[first] or part[first] >= 0:
             continue

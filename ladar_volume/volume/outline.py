@@ -16,7 +16,7 @@ from ladar_volume.tin.full_tin import any_corner, area_of, footprint_areas, vert
 from ladar_volume.volume.centroid import plan_centre
 
 
-def components(tin: Tin, mask: Bool) -> I64:
+def components(tin: Tin, mask: Bool) -> I32:
     """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
     return np.asarray(parts_kernel(tin.neighbours, mask))
 
@@ -46,7 +46,7 @@ def bodies(
 
 
 @kernel
-def volume_by_part(vertices: F64, triangles: I32, height: F64, label: I64) -> F64:
+def volume_by_part(vertices: F64, triangles: I32, height: F64, label: I32) -> F64:
     """Volumes (k,) m³ of the parts that triangles belong to by their ``label`` (m,), -1 for none;
     height : (n,) m above the base.
     """
@@ -175,7 +175,7 @@ def fill_holes(tin: Tin, mask: Bool) -> Bool:
 
 
 @kernel
-def fill_parts(neighbours: I32, relevant: Bool, mask: Bool, part: I64) -> Bool:
+def fill_parts(neighbours: I32, relevant: Bool, mask: Bool, part: I32) -> Bool:
     """See :func:`fill_holes`; part : (m,) number of the component off the mask each triangle
     belongs to, -1 on it.
     """

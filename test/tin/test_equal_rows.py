@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.math.equal_rows import distinct_cells, distinct_rows, first_equal
+from ladar_volume.math.equal_rows import distinct_cells, distinct_rows, few_values, first_equal
 
 RNG = np.random.default_rng(3)
 ROWS = {
@@ -45,3 +45,20 @@ def test_distinct_cells_are_those_of_numpy(most: int, dtype: type) -> None:
 def test_of_no_cells_none_is_distinct() -> None:
     first, number = distinct_cells(np.zeros((0, 2), np.int64))
     assert not len(first) and not len(number)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 64, 65, 300])
+def test_few_values_are_those_that_sorting_finds(count: int) -> None:
+    some = RNG.permutation(np.linspace(-2.0, 7.0, count))
+    values = RNG.choice(np.r_[some, np.nan, np.inf, -np.inf], 5000)
+    values[: 2 * count] = np.repeat(some, 2)
+    assert few_values(values) == np.unique(values[np.isfinite(values)]).tolist()
+    assert few_values(values[:0]) == []
+
+
+def test_rows_are_compared_with_the_first_so_many_alone() -> None:
+    values = ROWS["few values"]
+    found = first_equal(values, 20)
+    for row in range(len(values)):
+        same = np.flatnonzero((values[:20] == values[row]).all(axis=1))
+        assert found[row] == (same[0] if len(same) else row)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, Bool, Tin
 from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
 from ladar_volume.volume.polygon import signed_area
 
@@ -37,7 +37,7 @@ def polygons_of(tin: Tin, mask: Bool) -> list[Polygon]:
     return sorted(out, key=lambda polygon: -polygon.area_m2)
 
 
-def edge_rings(tin: Tin, mask: Bool, part: I64) -> dict[int, list[list[int]]]:
+def edge_rings(tin: Tin, mask: Bool, part: I32) -> dict[int, list[list[int]]]:
     """Rings of vertices along the boundary of the triangles (m,), by the part (m,) they bound; the
     triangles are on their left. A ring that comes through a vertex twice is parted there.
     """

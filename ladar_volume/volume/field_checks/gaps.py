@@ -16,7 +16,7 @@ from ladar_volume.ground.polynomial import base_height
 from ladar_volume.math.equal_rows import distinct_cells
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import VolumeParameters
-from ladar_volume.model.records import F64, I64, Bool, Gap, Plane, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Gap, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 from ladar_volume.tin.locate import locate, triangle_index
@@ -55,7 +55,7 @@ class Gaps:
     largest gap first · usual_m : usual length of an edge
     """
 
-    triangle: I64
+    triangle: I32
     areas: F64
     usual_m: float
 
@@ -144,7 +144,7 @@ def find_gaps(tin: Tin, inside_m2: F64, spacing_m: F64 | None = None) -> Gaps:
     over = longest > GAP * here
     wide = inside.copy()
     wide[inside] = over
-    number = np.full(len(inside), -1, np.int64)
+    number = np.full(len(inside), -1, np.int32)
     if not wide.any():
         return Gaps(number, np.zeros(0), usual)
     part = components(tin, wide)
