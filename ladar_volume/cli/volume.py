@@ -80,6 +80,7 @@ from ladar_volume.clouds.volume_verdict import (
     stray_doubts,
     surface_doubts,
     volume_with_verdict,
+    with_gaps,
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.results import MOST_OBJECTS, json_text
@@ -537,8 +538,10 @@ def volume_verdict(
         if task.base == "floor":
             base = design_surface([p.volume.level_m])
         ground = base if task.base == "ground" else None
+        gapped = with_gaps(found.volume, surface, area, base, p.volume.outline)
+        return_free()
         seen, readings = run_concurrently(
-            lambda: seen_volume(found.volume, surface, area, p, base),
+            lambda: seen_volume(gapped, surface, area, base),
             lambda: None if ground is None else ground_readings(surface, ground, area, p),
         )
         volume, verdict = volume_with_verdict(seen, surface, area, readings, p, base)

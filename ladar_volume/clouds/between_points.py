@@ -160,7 +160,7 @@ def some_squares(tin: Tin, inside: F64, bridged: Bool, spacing: F64, xy: F64) ->
     that others stand for; and what part of the area is left. xy : (n, 2) m, the vertices along
     their own axes.
     """
-    every = squares_every(np.count_nonzero(inside > 0.0) - np.count_nonzero(bridged))
+    every = squares_every(int(np.count_nonzero(inside > 0.0) - np.count_nonzero(bridged)))
     side = SQUARE * float(np.median(spacing))
     if every < 2 or not math.isfinite(side):
         return np.where(bridged, 0.0, inside), 1.0

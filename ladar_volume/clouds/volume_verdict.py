@@ -233,11 +233,12 @@ def base_doubts(readings: GroundReadings | None, volume: CloudVolume, by_body: b
 
 
 def with_gaps(
-    volume: CloudVolume, surface: CloudSurface, inside: F64, base: Plane | None, moves: bool
+    volume: CloudVolume, surface: CloudSurface, inside: F64, base: Plane | None, outline: str
 ) -> tuple[CloudVolume, Bool, list[Doubt]]:
     """The volume with what was not seen of the body, by kriging from its surroundings; the
-    triangles (m,) over gaps of which that tells; and the doubts. Unless it ``moves``, the volume
-    stays that of the triangles, as in a sequence of levels, and what it would move by is in sigma.
+    triangles (m,) over gaps of which that tells; and the doubts. With the ``outline`` "all" the
+    volume stays that of the triangles, as in a sequence of levels, and what it would move by is in
+    sigma.
     """
     tin = surface.representation.tin
     gap_mask = np.zeros(len(tin.triangles), np.bool_)
@@ -250,7 +251,7 @@ def with_gaps(
     known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
     gap_mask = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
-    if not moves:
+    if outline == "all":
         more = found.variance_m6 + found.more_m3**2
         return with_lines(volume, {"unseen": more}), gap_mask, doubts
     cut, fill = with_net(volume.cut_m3, volume.fill_m3, found.more_m3)
@@ -327,15 +328,13 @@ class SeenVolume(NamedTuple):
 
 
 def seen_volume(
-    volume: CloudVolume,
+    gapped: tuple[CloudVolume, Bool, list[Doubt]],
     surface: CloudSurface,
     inside: F64,
-    parameters: Parameters,
     base: Plane | None = None,
 ) -> SeenVolume:
-    """A volume with its gaps, and what lies between its points, for :func:`volume_with_verdict`."""
-    moves = parameters.volume.outline != "all"
-    volume, gap_mask, gaps = with_gaps(volume, surface, inside, base, moves)
+    """What :func:`with_gaps` gives, with what lies between the points."""
+    volume, gap_mask, gaps = gapped
     height = height_above(surface.representation.tin.vertices, base)
     return SeenVolume(volume, gaps, height, between_points(surface, inside, height, ~gap_mask))
 

@@ -13,6 +13,7 @@ from ladar_volume.clouds.volume_verdict import (
     seen_volume,
     surface_doubts,
     volume_with_verdict,
+    with_gaps,
     with_growth,
     with_lines,
 )
@@ -102,7 +103,8 @@ def pile_with_verdict(
     if task.base == "second":
         return pair_with_verdict(site, part, task, volume)
     surface, inside = site.surface, part.inside_m2
-    seen = seen_volume(volume, surface, inside, parameters, reference)
+    gapped = with_gaps(volume, surface, inside, reference, parameters.volume.outline)
+    seen = seen_volume(gapped, surface, inside, reference)
     volume, verdict = volume_with_verdict(
         seen, surface, inside, requested.readings, parameters, reference
     )
