@@ -236,7 +236,8 @@ def covariance_of(points: F64, rows: I64) -> F64:
     """Covariance (3, 3) m² of some (k,) of points (n, 3) m."""
     mean, out = np.zeros(3), np.zeros((3, 3))
     for i in rows:
-        mean += points[i] / len(rows)
+        for c in range(3):
+            mean[c] += points[i, c] / len(rows)
     for i in rows:
         x, y, z = points[i, 0] - mean[0], points[i, 1] - mean[1], points[i, 2] - mean[2]
         out[0, 0] += x * x

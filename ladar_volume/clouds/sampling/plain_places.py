@@ -26,8 +26,8 @@ WITHIN = 3.5
 
 @leaf_kernel
 def add_block(total: F64, own: F64, dx: float, dy: float) -> None:
-    """Add the sums (9,) of a cell whose middle lies at (dx, dy) from that of the block: of 1, x, y,
-    z, x², xy, y², xz, yz; and, in the tenth place, of z².
+    """Add the sums (10,) of a cell whose middle lies at (dx, dy) from that of the block: of 1, x,
+    y, z, x², xy, y², xz, yz and z².
     """
     n, x, y, z = own[0], own[1], own[2], own[3]
     total[0], total[1], total[2], total[3] = (

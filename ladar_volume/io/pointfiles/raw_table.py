@@ -165,7 +165,8 @@ def rows_without_return(r: F64) -> Bool:
     """(n,) points with a NaN coordinate: no return. Raises :class:`CloudError` (cloud_not_finite,
     value: how many are not finite) where some are infinite.
     """
-    ends = np.array([[c.min(), c.max()] for c in r.T])  # of numbers alone, all is said by these
+    # of numbers alone, all is said by their least and greatest
+    ends = np.array([[c.min(initial=np.inf), c.max(initial=-np.inf)] for c in r.T])
     if np.isfinite(ends).all() and not words_on_ends(ends):
         return np.zeros(len(r), np.bool_)
     if np.isinf(r).any():
