@@ -19,11 +19,11 @@ from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.math.equal_rows import few_values, rows_of
+from ladar_volume.math.equal_rows import few_values
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import build_tin, first_corner, vertex_mask
+from ladar_volume.tin.full_tin import build_tin, first_corner, places_in, vertex_mask
 from ladar_volume.tin.locate import barycentric, locate_in_delaunay
 from ladar_volume.tin.relevant import circumdiameters
 from ladar_volume.tin.sampled_area import FEWEST, fill_cells, look_up
@@ -63,10 +63,9 @@ class BetweenPoints:
 
 def thin_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I64:
     """Rows (k,) of places (n, 2): one of each cell of 1.5 spacings (n,), shifted by so many."""
-    out = []
-    for size in few_values(spacing):
-        own = np.flatnonzero(spacing == size)
-        out.append(own[thin_by_cells(rows_of(points, own), CELL * size, shift)])
+    out = [
+        thin_by_cells(points, CELL * size, shift, spacing == size) for size in few_values(spacing)
+    ]
     return np.concatenate(out) if out else np.zeros(0, np.int64)
 
 
@@ -96,13 +95,16 @@ def between_points(
     if np.count_nonzero(inside > 0.0) - np.count_nonzero(bridged) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
     seen, share = some_squares(tin, inside, bridged, spacing, own)
+    kept = [
+        thin_by_spacing(own, spacing, shift)
+        for shift in shifts_for(int(np.count_nonzero(seen > 0)))
+    ]
+    if any(len(rows) < FEWEST // 4 for rows in kept):
+        return BetweenPoints(0.0, 0.0, hidden)
     finest, near = wide(tin, seen), near_triangles(tin, own, seen, spacing)
-    found = []
-    for shift in shifts_for(int(np.count_nonzero(seen > 0))):
-        kept = thin_by_spacing(own, spacing, shift)
-        if len(kept) < FEWEST // 4:
-            return BetweenPoints(0.0, 0.0, hidden)
-        found.append(coarser(surface, seen, kept[near[kept]], own))
+    part, number = compared_part(surface, seen, own, near)
+    del own, seen
+    found = [coarser(part, number[rows[near[rows]]].astype(np.int64)) for rows in kept]
     return from_coarser(found, finest, share, hidden)
 
 
@@ -201,6 +203,34 @@ def near_triangles(tin: Tin, xy: F64, inside: F64, spacing: F64) -> Bool:
     return out
 
 
+class Part(NamedTuple):
+    """What is compared of a surface, and what lies around it. vertices : (n, 3) m · xy : (n, 2) m,
+    along the axes of the whole · noise_m2 : (n,) variance of each from the noise of its point ·
+    corners : (m, 3) of the triangles that are compared · area : (m,) m² of these within the outline
+    """
+
+    vertices: F64
+    xy: F64
+    noise_m2: F64
+    corners: I32
+    area: F64
+
+
+def compared_part(surface: CloudSurface, inside: F64, xy: F64, near: Bool) -> tuple[Part, I32]:
+    """The triangles of which some area (m,) m² lies ``inside``, with the vertices that are ``near``
+    (n,) them: all of theirs, and more; and the number of each vertex (n,) in it. xy : (n, 2) m, the
+    vertices along their own axes
+    """
+    tin, rows, own = surface.representation.tin, np.flatnonzero(near), np.flatnonzero(inside > 0)
+    number = places_in(rows, len(near))
+    noise = np.zeros(len(rows))
+    if surface.sigma_m is not None:
+        source = tin.source[rows]
+        noise = np.where(source >= 0, surface.sigma_m[source], 0.0) ** 2
+    vertices, area = tin.vertices[rows], inside[own]
+    return Part(vertices, xy[rows], noise, number[tin.triangles[own]], area), number
+
+
 class Places(NamedTuple):
     """Places on a surface. z : (p,) m, its height there · where : (p,) triangle of the coarser
     surface there, -1 for none · coarse : (p, 3) barycentric coordinates in it
@@ -284,37 +314,34 @@ def add_kernel(two: Compared, at: Places, row: I64, own: F64, part: F64, sums: D
             sums.covered[where] += part[t]
 
 
-def surface_differences(tin: Tin, corners: I32, area: F64, coarse: Tin, kept: I64) -> Differences:
-    """By how much triangles (m, 3) of areas (m,) m² of a surface lie above that of the vertices
-    ``kept`` (k,), by a rule that is exact for quadratics: their centres and corners.
+def surface_differences(part: Part, coarse: Tin, kept: I64) -> Differences:
+    """By how much the triangles of a part lie above the surface of its vertices ``kept`` (k,), by a
+    rule that is exact for quadratics: their centres and corners.
     """
-    two = Compared(tin.vertices[:, 2].copy(), corners, kept[coarse.source][coarse.triangles])
+    vertices, corners, area = part.vertices, part.corners, part.area
+    two = Compared(vertices[:, 2].copy(), corners, kept[coarse.source][coarse.triangles])
     sums = Differences(
-        np.zeros(len(corners)), np.zeros(len(tin.vertices)), np.zeros(len(coarse.triangles))
+        np.zeros(len(corners)), np.zeros(len(vertices)), np.zeros(len(coarse.triangles))
     )
-    at = on_coarser(coarse, centres_of(tin.vertices, corners))
+    at = on_coarser(coarse, centres_of(vertices, corners))
     add_kernel(two, at, np.arange(len(corners)), np.full(3, 1.0 / 3.0), CENTRE * area, sums)
-    rows, place = number_vertices(corners, len(tin.vertices), kept)
-    at = on_coarser(coarse, tin.vertices[rows])
+    rows, place = number_vertices(corners, len(vertices), kept)
+    at = on_coarser(coarse, vertices[rows])
     for k in range(3):
         add_kernel(two, at, place[corners[:, k]], np.eye(3)[k], CORNER * area, sums)
     return sums
 
 
-def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64, float, float]:
-    """What the volume within an outline loses where only the vertices ``kept`` (k,) stay: by
-    blocks, m³; the variance, m⁶, that the noise gives to the whole; and how wide the triangles then
-    are, m. xy : (n, 2) m, all vertices along their own axes.
+def coarser(part: Part, kept: I64) -> tuple[F64, float, float]:
+    """What the volume of a part loses where only its vertices ``kept`` (k,) stay: by blocks, m³;
+    the variance, m⁶, that the noise gives to the whole; and how wide the triangles then are, m.
     """
-    tin = surface.representation.tin
-    coarse = build_tin(tin.vertices[kept])
-    own = np.flatnonzero(inside > 0)
-    corners = tin.triangles[own]
-    sums = surface_differences(tin, corners, inside[own], coarse, kept)
+    coarse = build_tin(part.vertices[kept])
+    sums = surface_differences(part, coarse, kept)
     size = wide(coarse, sums.covered)
-    middle = middles_of(xy[corners])
+    middle = middles_of(part.xy[part.corners])
     _, blocks = volume_by_block(middle, sums.volume, extent_of(middle), size)
-    return blocks, noise_of(surface, sums.gradient), size
+    return blocks, float((sums.gradient**2 * part.noise_m2).sum()), size
 
 
 def middles_of(corners: F64) -> F64:
@@ -332,17 +359,6 @@ def volume_by_block(
     cell = np.floor((middle - low) / (BLOCK * size)).astype(np.int64)
     names, number = np.unique(cell @ np.array([1 << 32, 1]), return_inverse=True)
     return names, np.bincount(number.reshape(-1), volume, len(names)).astype(np.float64)
-
-
-def noise_of(surface: CloudSurface, gradient: F64) -> float:
-    """Variance, m⁶, that the noise gives a result with a gradient (n,) by the vertex heights, each
-    with the noise of its own point.
-    """
-    if surface.sigma_m is None:
-        return 0.0
-    source = surface.representation.tin.source
-    sigma = np.where(source >= 0, surface.sigma_m[source], 0.0)
-    return float(((gradient * sigma) ** 2).sum())
 
 
 def bridged_deviation(tin: Tin, inside: F64, height: F64, own: Bool) -> float:

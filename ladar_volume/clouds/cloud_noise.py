@@ -21,10 +21,10 @@ import numpy as np
 from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.nearest import nearest, nearest_index
-from ladar_volume.math.own_axes import along_own_axes, raster_of
+from ladar_volume.math.own_axes import along_own_axes, extent_where, raster_between
 from ladar_volume.math.plane_grid import fullest, nearest_in_grid, plane_grid
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.sampled_area import spacings
 
@@ -92,13 +92,17 @@ def rounding_step(z: F64) -> float:
 
 
 @kernel
-def nearest_in_cells(points: F64, low: F64, cell_m: float, shift: F64, nearest: I64) -> None:
-    """Write the row of the point (n, 3) that is nearest to the middle of each cell of a raster
-    (a, b), whose origin is ``low`` less the shift in cells; -1 stays where there is none, and the
-    first of equals is taken.
+def nearest_in_cells(
+    points: F64, chosen: Bool, low: F64, cell_m: float, shift: F64, nearest: I64
+) -> None:
+    """Write the row of the ``chosen`` (n,) of points (n, 3) that is nearest to the middle of each
+    cell of a raster (a, b), whose origin is ``low`` less the shift in cells; -1 stays where there
+    is none, and the first of equals is taken.
     """
     distance = np.empty(nearest.shape)
     for i in range(len(points)):
+        if not chosen[i]:
+            continue
         u = (points[i, 0] - low[0]) / cell_m + shift[0]
         v = (points[i, 1] - low[1]) / cell_m + shift[1]
         x, y = int(np.floor(u)), int(np.floor(v))
@@ -107,23 +111,31 @@ def nearest_in_cells(points: F64, low: F64, cell_m: float, shift: F64, nearest: 
             nearest[x, y], distance[x, y] = i, off
 
 
-def thin_by_cells(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
-    """Rows (k,) of points (n, 3): in every cell of the horizontal plane, shifted by so many cells,
-    the one nearest to its middle; by cells along x, and along y in each.
+def thin_by_cells(
+    points: F64,
+    cell_m: float,
+    shift: tuple[float, float] = (0.0, 0.0),
+    chosen: Bool | None = None,
+) -> I64:
+    """Rows (k,) of the ``chosen`` (n,) of points (n, 3), of all by default: in every cell of the
+    horizontal plane, shifted by so many cells, the one nearest to its middle; by cells along x, and
+    along y in each.
     """
-    low, size = raster_of(points[:, :2], cell_m)
+    chosen = np.ones(len(points), np.bool_) if chosen is None else chosen
+    low, size = raster_between(extent_where(points[:, :2], chosen), cell_m)
     moved, size = np.array(shift), size + 1
-    if float(size[0]) * float(size[1]) <= RASTER * len(points) + 1e4:
+    if float(size[0]) * float(size[1]) <= RASTER * int(np.count_nonzero(chosen)) + 1e4:
         nearest = np.full(size, -1, np.int64)
-        nearest_in_cells(points, low, cell_m, moved, nearest)
+        nearest_in_cells(points, chosen, low, cell_m, moved, nearest)
         return nearest[nearest >= 0]
     # few points in a wide raster: sorted instead
-    place = (points[:, :2] - low) / cell_m + moved
+    own = np.flatnonzero(chosen)
+    place = (points[own, :2] - low) / cell_m + moved
     cell = np.floor(place)
     off = ((place - cell - 0.5) ** 2).sum(axis=1)
     order = np.lexsort((off, cell[:, 1], cell[:, 0]))
     same = (np.diff(cell[order], axis=0) == 0).all(axis=1)
-    return order[np.r_[True, ~same]]
+    return own[order[np.r_[True, ~same]]]
 
 
 def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ladar_volume.math.kernels import kernel
 
 F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
 #: Share of the mean square distance from the centroid above which the second moment shows a long
 #: direction; below it the fourth moment shows that of the sides.
 LONG = 0.05
@@ -110,6 +111,18 @@ def extent_of(xy: F64) -> tuple[F64, F64]:
         x, y = xy[i, 0], xy[i, 1]
         x0, x1 = x if x < x0 else x0, x if x > x1 else x1
         y0, y1 = y if y < y0 else y0, y if y > y1 else y1
+    return np.array([x0, y0]), np.array([x1, y1])
+
+
+@kernel
+def extent_where(xy: F64, chosen: Bool) -> tuple[F64, F64]:
+    """:func:`extent_of` the ``chosen`` (n,) of places (n, 2) m."""
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(len(xy)):
+        if chosen[i]:
+            x, y = xy[i, 0], xy[i, 1]
+            x0, x1 = x if x < x0 else x0, x if x > x1 else x1
+            y0, y1 = y if y < y0 else y0, y if y > y1 else y1
     return np.array([x0, y0]), np.array([x1, y1])
 
 

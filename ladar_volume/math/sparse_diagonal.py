@@ -13,7 +13,8 @@ from ladar_volume.math.array_types import F64
 def diagonal_matrix(values: F64) -> sparse.csr_array:
     """The matrix (n, n) with these values (n,) on its diagonal."""
     n = len(values)
-    return sparse.csr_array((values, np.arange(n), np.arange(n + 1)), shape=(n, n))
+    at = np.arange(n + 1, dtype=np.int32 if n < 2**31 - 1 else np.int64)
+    return sparse.csr_array((values, at[:n], at), shape=(n, n))
 
 
 def identity_matrix(n: int) -> sparse.csr_array:

@@ -79,12 +79,14 @@ class Material:
 @dataclass(frozen=True)
 class Pile:
     """name · ring : (k, 2) m, its outline, counter-clockwise, the first corner not repeated ·
-    material : None where no density is known
+    material : None where no density is known · is_found : whether it was found by rising above the
+    ground of its site, rather than drawn
     """
 
     name: str
     ring: F64
     material: Material | None = None
+    is_found: bool = False
 
 
 #: A height that may be off by more is none, m.

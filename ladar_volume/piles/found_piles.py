@@ -25,4 +25,4 @@ def found_piles(surface: CloudSurface, parameters: Parameters) -> list[Pile]:
     base, inside = ground_and_outline(tin, surface.vertex_variance, own)
     rings = [boundary_loop(tin, m > 0) for m in area_by_body(tin, base, inside, volume)]
     rings = [np.ascontiguousarray(ring) for ring in rings if len(ring) >= 3]
-    return [Pile(f"pile {number}", ring) for number, ring in enumerate(rings, 1)]
+    return [Pile(f"pile {number}", ring, is_found=True) for number, ring in enumerate(rings, 1)]

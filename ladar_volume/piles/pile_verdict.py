@@ -117,6 +117,8 @@ def pile_with_verdict(
     doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
     faces = faces_around(surface, ground, inside, rise)
     doubts += wall_doubts(part.tin, ground, mask, faces, rise)
+    if part.pile.is_found:
+        doubts += risen_doubts(volume)
     if volume.net_m3 > 0.0 and task.base in GROUND_BASES:
         lying = below_base(volume.cut_m3, volume.fill_m3, volume.sigma_fill_m3)
         chosen = volume.budget_m6.get("base_model", 0.0) + doubted_m6(lying)
@@ -142,6 +144,18 @@ def pair_with_verdict(
     inside = None if site.pair is None else areas_inside(site.pair.tin, ring) > 0
     volume, more = pair_verdict(volume, surfaces, areas, site.pair, inside)
     return volume, verdict + more
+
+
+def risen_doubts(volume: CloudVolume) -> list[Doubt]:
+    """What was found because it rises above the ground of the site lies below its own base."""
+    if volume.net_m3 > 0.0:
+        return []
+    words = (
+        f"the pile was found because it rises above the ground of the site, and lies "
+        f"{-volume.net_m3:.3g} m³ below this base: the ground is not one plane; draw the outline "
+        "at its toe, name another --base, or set ground.degree"
+    )
+    return [Doubt("below_base", words, -volume.net_m3)]
 
 
 def outline_doubts(part: PilePart) -> list[Doubt]:

@@ -244,7 +244,9 @@ def adjustment_record(
     tin: Tin, fit: SurfaceFit, heights: F64, iterations: int, converged: bool
 ) -> Adjustment:
     """The record of an adjustment."""
-    new = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2], heights])
+    new = tin
+    if not np.array_equal(heights, tin.vertices[:, 2]):
+        new = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2], heights])
     after, before = measures(fit.residuals(heights)), measures(fit.residuals(tin.vertices[:, 2]))
     return Adjustment(new, fit, iterations, converged, *after, *before)
 
@@ -324,6 +326,17 @@ def adjust_rms_by_iteration(
     return adjustment_record(tin, fit, heights, done, converged)
 
 
+@kernel
+def add_held(g: F64, source: I64, adjusted: Bool, out: F64) -> None:
+    """Add rows of g (n, r) of the vertices that were not ``adjusted`` (n,) to those of the points
+    (points, r) that they come from.
+    """
+    for v in range(len(source)):
+        if not adjusted[v] and source[v] >= 0:
+            for c in range(g.shape[1]):
+                out[source[v], c] += g[v, c]
+
+
 def raw_gradient(tin: Tin, fit: SurfaceFit, gradient_z: F64, points: int) -> F64:
     """From a gradient by the adjusted heights to one by the raw heights: the adjoint of the RMS
     adjustment, one sparse solve.
@@ -334,10 +347,10 @@ def raw_gradient(tin: Tin, fit: SurfaceFit, gradient_z: F64, points: int) -> F64
     sigma_j²`` for independent raw heights (UNCERTAINTY step 5).
     """
     g = np.asarray(gradient_z, dtype=np.float64).reshape(len(tin.vertices), -1)
-    normal = Normal(fit.B, fit.weight)
     out = np.zeros((points, g.shape[1]))
-    held = ~fit.adjusted & (tin.source >= 0)
-    for c in range(g.shape[1]):
-        out[fit.point, c] = fit.weight * (fit.B @ normal.solve(g[:, c]))
-        out[tin.source[held], c] += g[held, c]
+    if fit.B.nnz:
+        normal = Normal(fit.B, fit.weight)
+        for c in range(g.shape[1]):
+            out[fit.point, c] = fit.weight * (fit.B @ normal.solve(g[:, c]))
+    add_held(g, tin.source, fit.adjusted, out)
     return out if np.ndim(gradient_z) == 2 else out[:, 0]

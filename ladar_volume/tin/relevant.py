@@ -65,6 +65,18 @@ def longest_side(a: F64, b: F64, c: F64) -> float:
 
 
 @kernel
+def longest_sides(vertices: F64, triangles: I32, rows: I64) -> F64:
+    """Horizontal lengths (k,) m of the longest sides of the triangles ``rows`` (k,)."""
+    out = np.empty(len(rows))
+    for k in range(len(rows)):
+        t = rows[k]
+        out[k] = longest_side(
+            vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        )
+    return out
+
+
+@kernel
 def size_kernel(vertices: F64, triangles: I32, mask: Bool) -> tuple[float, float]:
     """Sums over the triangles in ``mask`` (m,) of their horizontal areas, m², and of their longest
     edges, m.

@@ -117,15 +117,11 @@ class RepresentedSurface:
         if self.fit is None:
             return diagonal_matrix(own)
         scale = float(np.median(self.fit.weight * sigma_m[self.fit.point] ** 2))
-        return (
-            self.variance_factor
-            * scale
-            * height_covariance(
-                self.adjusted_on or self.tin,
-                self.fit,
-                own / (self.variance_factor * scale or 1.0),
-            )
-        )
+        factor = self.variance_factor * scale
+        on = self.adjusted_on or self.tin
+        C = height_covariance(on, self.fit, own / (factor or 1.0))
+        C.data *= factor
+        return C
 
 
 def check_options(options: SurfaceParameters) -> None:

@@ -14,7 +14,7 @@ from ladar_volume.ground.robust_ground import fit_ground, refine
 from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
-from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.outline import bodies, shares, surroundings, widen_body
 from ladar_volume.volume.polygon import areas_inside, check_polygon
@@ -46,44 +46,61 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
         base = fit_ground(
             tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used
         )
-    known: dict[bytes, F64] = {}
-    inside = area_inside(tin, base, p, known)
-    if p.base != "ground" or p.outline == "all":
-        return base, inside
-    seen = [inside]
+    if p.base == "ground" and p.outline == "auto":
+        return settled_outline(tin, height_variance, base, parameters)
+    inside = area_inside(tin, base, p)
+    if p.base == "ground" and p.outline == "polygon":
+        base = refined_base(tin, height_variance, base, inside > 0, parameters)
+    return base, inside
+
+
+def settled_outline(
+    tin: Tin, height_variance: F64, base: Plane, parameters: Parameters
+) -> tuple[Plane, F64]:
+    """:func:`base_and_outline` of bodies on their ground, which define each other."""
+    p, known = parameters.volume, dict[bytes, Bool]()
+    mask = body_outline(tin, base, p, known)
+    seen = [mask]
     for _ in range(MAX_ROUNDS):
-        ring = surroundings(tin, inside > 0, p.ground_ring_m)
-        refined = refine(
-            tin.vertices[ring], height_variance[ring], base, parameters.ground, p.object_height_m
-        )
-        base = dataclasses.replace(refined, support=ring[refined.support])
-        inside = area_inside(tin, base, p, known)
-        again = [k for k, earlier in enumerate(seen) if np.array_equal(inside, earlier)]
+        base = refined_base(tin, height_variance, base, mask, parameters)
+        mask = body_outline(tin, base, p, known)
+        again = [k for k, earlier in enumerate(seen) if np.array_equal(mask, earlier)]
         if again:
             seen = seen[again[0] + 1 :]
             break
-        seen.append(inside)
-    others = [earlier for earlier in seen[-LAST:] if earlier is not inside]
-    moved = max((abs(volume_between(tin, base, other, inside)) for other in others), default=0.0)
+        seen.append(mask)
+    inside = np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+    others = [other for other in seen[-LAST:] if other is not mask]
+    moved = max((abs(volume_between(tin, base, other, mask)) for other in others), default=0.0)
     return dataclasses.replace(base, unsettled_m3=moved), inside
 
 
-def volume_between(tin: Tin, base: Plane, one: F64, two: F64) -> float:
-    """Net volume above a base, m³, within the second of two outlines (m,) m² less that within the
-    first.
+def refined_base(
+    tin: Tin, height_variance: F64, base: Plane, mask: Bool, parameters: Parameters
+) -> Plane:
+    """The ground around the outline of triangles in ``mask`` (m,)."""
+    p = parameters.volume
+    ring = surroundings(tin, mask, p.ground_ring_m)
+    found = refine(
+        tin.vertices[ring], height_variance[ring], base, parameters.ground, p.object_height_m
+    )
+    return dataclasses.replace(found, support=ring[found.support])
+
+
+def volume_between(tin: Tin, base: Plane, one: Bool, two: Bool) -> float:
+    """Net volume above a base, m³, within the second of two outlines of triangles (m,) less that
+    within the first.
     """
     rows = np.flatnonzero(one != two)
-    r = tin.vertices[tin.triangles[rows]].reshape(-1, 3)
-    height = height_above(r, base).reshape(-1, 3).mean(axis=1)
-    return float((two[rows] - one[rows]) @ height)
+    corners = tin.triangles[rows]
+    height = height_above(tin.vertices[corners].reshape(-1, 3), base).reshape(-1, 3).mean(axis=1)
+    sign = np.where(two[rows], 1.0, -1.0)
+    return float((sign * footprint_areas(tin.vertices, corners)) @ height)
 
 
-def area_inside(
-    tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, F64] | None = None
-) -> F64:
+def area_inside(tin: Tin, base: Plane, p: VolumeParameters) -> F64:
     """Area (m,) m² of each triangle inside the outline. Raises :class:`VolumeError` where there is
-    none. known : by the bodies' triangles, what was found on this surface before; a base that
-    differs little has the same bodies.
+    none.
     """
     if p.outline == "polygon":
         inside = areas_inside(tin, polygon_of(p))
@@ -92,13 +109,18 @@ def area_inside(
                 "no part of the surface lies inside the outline", reason="volume_no_triangle"
             )
         return inside
-    area = footprint_areas(tin.vertices, tin.triangles)
-    if p.outline == "all":
-        return np.where(tin.relevant, area, 0.0)
+    mask = tin.relevant if p.outline == "all" else body_outline(tin, base, p, {})
+    return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+
+
+def body_outline(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, Bool]) -> Bool:
+    """The triangles (m,) within the outline of the bodies. known : by the bodies' triangles, what
+    was found on this surface before; a base that differs little has the same bodies.
+    """
     body = np.logical_or.reduce(bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3))
-    known, key = {} if known is None else known, body.tobytes()
+    key = np.packbits(body).tobytes()
     if key not in known:
-        known[key] = np.where(widen_body(tin, body, p.outline_margin_m), area, 0.0)
+        known[key] = widen_body(tin, body, p.outline_margin_m)
     return known[key]
 
 

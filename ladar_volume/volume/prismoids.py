@@ -161,8 +161,10 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None, sideways: bool = 
     (cut, fill, area), g_cut, g_net = prismoid_kernel(
         v, tin.triangles, chosen, height_above(v, base), 3 if sideways else 1
     )
-    by_height = np.column_stack([g_cut[:, -1], g_net[:, -1]])
-    b_cut, b_net = -design_products(v, base.origin_xy, degree_of(base), by_height).T
+    b_cut, b_net = (
+        -design_products(v, base.origin_xy, degree_of(base), g[:, -1:])[:, 0]
+        for g in (g_cut, g_net)
+    )
     if sideways:
         slope_base = base_gradient(base, xy)
         for gradient in (g_cut, g_net):

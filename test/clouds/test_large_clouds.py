@@ -36,9 +36,14 @@ def test_some_squares_stand_for_all(seed, monkeypatch):
 def test_the_raster_takes_what_sorting_takes(shift, monkeypatch):
     p = points(3, 3000)
     p[::7, :2] = np.round(p[::7, :2])  # several on the same place, and on the cells' edges
+    chosen = p[:, 0] > np.median(p[:, 0])
+    own = np.flatnonzero(chosen)
     fast = cloud_noise.thin_by_cells(p, 0.5, shift)
+    some = cloud_noise.thin_by_cells(p, 0.5, shift, chosen)
+    assert np.array_equal(some, own[cloud_noise.thin_by_cells(p[own], 0.5, shift)])
     monkeypatch.setattr(cloud_noise, "RASTER", -10.0)
     assert np.array_equal(fast, cloud_noise.thin_by_cells(p, 0.5, shift))
+    assert np.array_equal(some, cloud_noise.thin_by_cells(p, 0.5, shift, chosen))
 
 
 def test_rare_cells_take_the_size_of_the_nearest():

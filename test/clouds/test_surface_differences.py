@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.clouds.between_points import number_vertices, surface_differences
+from ladar_volume.clouds.between_points import Part, number_vertices, surface_differences
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 
 
@@ -39,7 +39,9 @@ def test_differences_are_those_of_a_plain_sum():
     corners = tin.triangles[::2]
     area = footprint_areas(tin.vertices, corners)
     coarse = build_tin(tin.vertices[kept])
-    found = surface_differences(tin, corners, area, coarse, kept)
+    none = np.zeros(len(tin.vertices))
+    part = Part(tin.vertices, tin.vertices[:, :2], none, corners, area)
+    found = surface_differences(part, coarse, kept)
     expected = plain_differences(tin, corners, area, coarse, kept)
     assert found.volume == pytest.approx(expected, abs=1e-9)
     # the gradient is that of the sum, which is linear in the heights

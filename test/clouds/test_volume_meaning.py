@@ -88,7 +88,7 @@ class Thinned:
         self.ratio, self.count = ratio, count
         self.one, self.all = step_m6 * (ratio**3 - 1.0), curve_m3 * (ratio**2 - 1.0)
 
-    def __call__(self, surface, inside, kept, xy):
+    def __call__(self, part, kept):
         sign = np.where(np.arange(self.count) % 2, 1.0, -1.0)
         blocks = sign * math.sqrt(self.one / self.count) + self.all / self.count
         return blocks, 0.0, self.ratio

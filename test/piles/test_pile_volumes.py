@@ -290,6 +290,18 @@ def test_found_piles_are_the_bodies_with_their_outlines(quiet):
     assert [p.volume.net_m3 for p in total.piles] == pytest.approx([cone(1), cone(0)], rel=0.01)
 
 
+@pytest.mark.parametrize("is_found", [True, False])
+def test_what_was_found_by_rising_and_lies_below_its_base_is_doubtful(is_found):
+    """A pit that somebody drew may lie below its ground; what rises above the site may not."""
+    r = site(1, 0.01)
+    turned = np.column_stack([r[:, :2], 2.0 * (100.0 + r[:, :2] @ SLOPE) - r[:, 2]])
+    piles = [dataclasses.replace(pile, is_found=is_found) for pile in outlines()[:1]]
+    (pile,) = volumes(surface_of(turned), "toe_plane", piles=piles).piles
+    assert pile.volume.net_m3 < -0.9 * cone(0)
+    names = {doubt.name for doubt in pile.verdict.doubts}
+    assert ("below_base" in names) == is_found
+
+
 def test_places_without_a_surface_take_the_heights_of_their_neighbours(quiet):
     tin = quiet.representation.tin
     middle = tin.vertices[tin.triangles, :2].mean(axis=1)

@@ -10,9 +10,11 @@ from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import (
     circumdiameters,
     edge_lengths,
+    longest_sides,
     relevant_triangles,
     with_relevant,
 )
+from ladar_volume.volume.field_checks.terrace import mean_heights
 
 
 def test_duplicates_are_reported_and_the_first_kept():
@@ -78,3 +80,15 @@ def test_the_four_options():
         with_relevant(tin, "circumcircle", 9.0, 1.0)
     with pytest.raises(SurfaceError):
         relevant_triangles(tin, "some")
+
+
+def test_longest_sides_and_mean_heights_are_those_of_the_corners():
+    rng = np.random.default_rng(8)
+    tin = build_tin(rng.random((60, 3)) * 10.0)
+    rows = rng.permutation(len(tin.triangles))[:40]
+    corner = tin.vertices[tin.triangles[rows]]
+    sides = np.linalg.norm(corner[:, :, :2] - np.roll(corner, 1, axis=1)[:, :, :2], axis=2)
+    found = longest_sides(tin.vertices, tin.triangles, rows)
+    np.testing.assert_allclose(found, sides.max(axis=1), rtol=1e-14)
+    mean = mean_heights(tin.vertices[:, 2].copy(), tin.triangles, rows)
+    np.testing.assert_allclose(mean, corner[:, :, 2].mean(axis=1), rtol=1e-14)

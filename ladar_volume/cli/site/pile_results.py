@@ -22,7 +22,7 @@ from ladar_volume.io.site.height_budget import read_budget, read_height_errors
 from ladar_volume.io.site.outline_files import Outlines, read_outlines
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.piles import HeightError, Material, Pile
+from ladar_volume.model.piles import HeightError, Material
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.piles.found_piles import found_piles
 from ladar_volume.piles.pile_site import SiteTask
@@ -130,7 +130,7 @@ def pile_volumes(
     piles = found_piles(surfaces[0], parameters) if outlines is None else outlines.piles
     material = common_material(a)
     if material is not None:
-        piles = [Pile(p.name, p.ring, p.material or material) for p in piles]
+        piles = [dataclasses.replace(p, material=p.material or material) for p in piles]
     second = surfaces[1] if len(surfaces) == 2 else None
     named = base in ("second", "level", "plane") or a.base is not None
     words = base_words(a, base, parameters)

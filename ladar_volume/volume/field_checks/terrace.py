@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.heights import height_above
-from ladar_volume.model.records import F64, I64, Plane, Tin
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Plane, Tin
 from ladar_volume.tin.boundary import border
-from ladar_volume.tin.relevant import edge_lengths
+from ladar_volume.tin.relevant import longest_sides
 
 #: Heights of a terrace above the base, m; half the range of heights that is one, in standard
 #: deviations of the ground about the base, and the least of these, m.
@@ -30,10 +31,10 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float, radiu
     filter; wider triangles bridge what was not seen, and each is much area about one height.
     """
     rows = np.flatnonzero(inside_m2 > 0.0)
-    side = edge_lengths(tin, inside_m2 > 0.0).max(axis=1)
+    side = longest_sides(tin.vertices, tin.triangles, rows)
     rows = rows[side <= max(radius_m, SPARSE * float(np.median(side)))]
-    height, area = height_above(tin.vertices, base)[tin.triangles[rows]], inside_m2[rows]
-    mean = height.mean(axis=1)
+    area = inside_m2[rows]
+    mean = mean_heights(height_above(tin.vertices, base), tin.triangles, rows)
     half = HALF * max(spread_m, LEAST_M)
     at = terrace_height(mean, area, half)
     if at == 0.0:
@@ -45,6 +46,16 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float, radiu
         return np.zeros(0, np.int64)
     out = np.unique(tin.triangles[rows[on]]).astype(np.int64)
     return out[np.abs(height_above(tin.vertices[out], base) - at) <= half]
+
+
+@kernel
+def mean_heights(height: F64, triangles: I32, rows: I64) -> F64:
+    """Means (k,) m of the heights (n,) m at the corners of the triangles ``rows`` (k,)."""
+    out = np.empty(len(rows))
+    for k in range(len(rows)):
+        t = rows[k]
+        out[k] = (height[triangles[t, 0]] + height[triangles[t, 1]] + height[triangles[t, 2]]) / 3.0
+    return out
 
 
 def terrace_height(height: F64, area: F64, half: float) -> float:
