@@ -114,6 +114,14 @@ def test_faces_are_the_surface_in_every_format(ending, tmp_path, run):
     assert hull["area_m2"] == pytest.approx(wide) and hull["surfaces"][0]["mesh"] is None
 
 
+@pytest.mark.parametrize(("words", "said"), [([], "metre (assumed)"), (["--units", "mm"], "→ m")])
+def test_the_unit_of_a_mesh_that_names_none_is_said(words, said, tmp_path, capsys):
+    write_mesh(tmp_path / "l.stl", L_V, L_T)
+    main(["volume", str(tmp_path / "l.stl"), "--level", "0", *words])
+    (line,) = [one for one in capsys.readouterr().out.splitlines() if "units:" in one]
+    assert said in line
+
+
 def test_a_landxml_surface_above_a_level(run, refused):
     for name in ("Highest", "Lowest"):
         mesh = read_mesh(CROP, name)

@@ -125,10 +125,12 @@ def _add_source_rows(table: Table, each: Mapping[str, Any]) -> None:
             f"{sigma}{each['sigma_from']}"
         ),
     )
-    if each["mesh"] is not None:
-        table.add_row("", mesh_words(each["mesh"]))
-    else:
+    mesh = each["mesh"]
+    if mesh is not None:
+        table.add_row("", mesh_words(mesh))
+    if mesh is None or mesh["unit"] is None:  # most meshes do not say their unit
         add_reading_rows(table, each)
+    if mesh is None:
         add_surface_rows(table, each)
 
 
