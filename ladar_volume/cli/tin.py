@@ -21,6 +21,7 @@ from ladar_volume.cli.inputs.reading import (
     reading_doubts,
 )
 from ladar_volume.cli.inputs.rows import read_rows
+from ladar_volume.cli.outputs.tin_file_out import check_surface_output, write_as
 from ladar_volume.cli.surface_options import (
     add_surface_rows,
     frame_facts,
@@ -34,7 +35,7 @@ from ladar_volume.cli.surface_options import (
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.volume_verdict import counted_areas, stray_doubts, surface_doubts
-from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
+from ladar_volume.io.meshfiles.tin_files import write_tin
 from ladar_volume.io.pointfiles.cloud_files import check_output, write_cloud
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, OutputError
@@ -62,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         C = None if surface.sigma_m is None else surface.representation.covariance(surface.sigma_m)
         sigma_z = None if C is None else np.sqrt(C.diagonal())
         status.update("writing")
-        output = write_surface(arguments, source, surface, frame, sigma_z)
+        output = write_surface(arguments, source, surface, frame, C)
         cleaned = write_cleaned(arguments, source, surface, frame)
     facts = {
         **surface_facts(source, surface),
@@ -89,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def check_outputs(arguments: argparse.Namespace) -> None:
     """Refuse outputs that cannot be written, and those that are one file with another."""
-    check_tin_output(arguments.output)
+    check_surface_output(arguments)
     paths = [arguments.cloud, arguments.output]
     if arguments.cleaned is not None:
         paths.append(check_output(arguments.cleaned))
@@ -156,24 +157,29 @@ def write_surface(
     source: Source,
     surface: CloudSurface,
     frame: Frame | None,
-    sigma_z: F64 | None,
+    covariance: sparse.csr_array | None,
 ) -> dict[str, Any]:
-    """Write the surface in the map's frame, with the standard deviations (n,), m, of its heights;
-    returns what the JSON says of the file.
+    """Write the surface in the map's frame, with the standard deviations of its heights, of which
+    this is the covariance (n, n), m²; returns what the JSON says of the file.
     """
+    sigma_z = None if covariance is None else np.sqrt(covariance.diagonal())
+    path = arguments.output
+    if path.suffix.lower() != ".ply":
+        vertices, faces = write_as(path, source, surface, sigma_z, covariance)
+        return {"path": path.name, "vertices": vertices, "faces": faces}
     tin = (
         surface.representation.tin
         if frame is None
         else frame.tin_to_map(surface.representation.tin)
     )
     vertices, faces = write_tin(
-        arguments.output,
+        path,
         in_cloud(tin, source.cloud.rows[surface.index]),
         sigma_z,
         arguments.all_triangles,
         source.cloud.coordinates.notes(),
     )
-    return {"path": arguments.output.name, "vertices": vertices, "faces": faces}
+    return {"path": path.name, "vertices": vertices, "faces": faces}
 
 
 def surface_verdict(facts: Mapping[str, Any], surface: CloudSurface) -> list[Doubt]:

@@ -275,7 +275,7 @@ def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
     before = sorted(p.name for p in tmp_path.iterdir())
     cases = [
         ([tmp_path / "none.ply", "-o", out], "no such file"),
-        ([path, "-o", tmp_path / "out.obj"], "written as .ply"),
+        ([path, "-o", tmp_path / "out.foo"], "written as .ply"),
         ([path, "-o", tmp_path / "none" / "out.ply"], "cannot be written"),
         ([path, "-o", path], "must be different"),
         ([two, "-o", out], "two.csv"),

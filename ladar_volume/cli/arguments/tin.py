@@ -31,8 +31,11 @@ def add_parser(subparsers: Verbs) -> None:
         "--output",
         type=Path,
         required=True,
-        metavar="TIN.ply",
-        help="relevant triangles, vertices with sigma_z",
+        metavar="TIN",
+        help=(
+            "relevant triangles by ending: .ply (vertices with sigma_z), .xml (LandXML), .dxf, "
+            ".obj, .stl, .glb, .tif (heights and sigma), .geojson (contours)"
+        ),
     )
     parser.add_argument(
         "--all-triangles", action="store_true", help="write irrelevant triangles too, marked"

@@ -51,12 +51,12 @@ class Deliverable:
 
     name : of the survey or cloud · tin : the surface · counted : (t,) triangles that V is summed
     over · base_m : (n,) height of the base at every vertex, linear between them; None where the
-    base is another surface · other : that surface · sigma_m : (n,) standard deviations of the
-    heights of the vertices, None where they are not known · covariance : (n, n) m² of these heights
-    where it is known; without it errors of neighbours are taken as common · points : the points ·
-    breaklines : (k, 3) each, lines that the faces keep · outlines : polygons (k, 2) that cut off
-    what counts, none where triangles count whole · facts : the result as in its JSON · rows : one
-    volume each, for a table · system : of the files
+    base is another surface, or there is none · other : that surface · sigma_m : (n,) standard
+    deviations of the heights of the vertices, None where they are not known · covariance : (n, n)
+    m² of these heights where it is known; without it errors of neighbours are taken as common ·
+    points : the points · breaklines : (k, 3) each, lines that the faces keep · outlines : polygons
+    (k, 2) that cut off what counts, none where triangles count whole · facts : the result as in its
+    JSON · rows : one volume each, for a table · system : of the files
     """
 
     name: str
@@ -76,7 +76,7 @@ class Deliverable:
     @cached_property
     def parts(self) -> list[Part]:
         """The surface where it counts, the rest of it, and the base under what counts (or the
-        second surface).
+        second surface); without either the surface as such.
         """
         known = self.base_m is not None
         base = self.base_m if self.base_m is not None else self.tin.vertices[:, 2]
@@ -85,7 +85,8 @@ class Deliverable:
         if self.outlines:
             points, mine, beyond = clipped_by_all(points, mine, self.outlines)
             rest = np.concatenate([rest, beyond])
-        out = [part("counted", points[:, :3], mine)]
+        alone = not known and self.other is None
+        out = [part("surface" if alone else "counted", points[:, :3], mine)]
         if len(rest):
             out.append(part("around", points[:, :3], rest))
         if known:

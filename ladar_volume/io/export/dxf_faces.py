@@ -19,7 +19,7 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64
 
 #: AutoCAD's colours of the layers.
-COLOURS = {"counted": 3, "around": 8, "base": 30, "second": 30, "outline": 1}
+COLOURS = {"surface": 3, "counted": 3, "around": 8, "base": 30, "second": 30, "outline": 1}
 #: Faces that are joined at a time.
 CHUNK = 20_000
 #: A 3DFACE with three corners: the fourth repeats the third.

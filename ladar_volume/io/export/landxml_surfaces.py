@@ -26,6 +26,7 @@ IMPERIAL = {"international foot": "foot", "US survey foot": "USSurveyFoot"}
 #: Rows that are joined at a time.
 CHUNK = 100_000
 WHAT = {
+    "surface": "the surface",
     "counted": "where the volume counts",
     "around": "the surface outside of that",
     "base": "what the volume stands on",
@@ -40,7 +41,7 @@ def write_landxml(path: Path, d: Deliverable) -> None:
         for text in head(d.name, system):
             file.write(text)
         for part in d.parts:
-            lines = d.breaklines if part.name == "counted" else ()
+            lines = d.breaklines if part is d.parts[0] else ()
             for text in surface(part, system, list(lines)):
                 file.write(text)
         file.write("</Surfaces>\n</LandXML>\n")

@@ -18,6 +18,7 @@ from ladar_volume.model.records import F64, I32
 
 #: Colours of the parts, red, green, blue, opacity.
 COLOURS = {
+    "surface": (0.35, 0.62, 0.86, 1.0),
     "counted": (0.35, 0.62, 0.86, 1.0),
     "around": (0.62, 0.62, 0.60, 1.0),
     "base": (0.80, 0.62, 0.35, 0.6),

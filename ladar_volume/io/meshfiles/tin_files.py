@@ -15,15 +15,14 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
 
 
-def check_tin_output(path: str | Path) -> Path:
-    """The path, where a TIN can be written there; to ask before a long computation. Raises
-    :class:`OutputError`.
+def check_tin_output(path: str | Path, endings: Sequence[str] = (".ply",)) -> Path:
+    """The path, where a TIN can be written there with one of the endings; to ask before a long
+    computation. Raises :class:`OutputError`.
     """
     path = Path(path)
-    if path.suffix.lower() != ".ply":
-        raise OutputError(
-            f"{path}: a TIN is written as .ply", reason="output_format", value=str(path)
-        )
+    if path.suffix.lower() not in endings:
+        words = f"{path}: a TIN is written as {', '.join(endings)}"
+        raise OutputError(words, reason="output_format", value=str(path))
     if path.is_dir() or not path.parent.is_dir():
         raise OutputError(
             (
