@@ -15,8 +15,9 @@ from ladar_volume.tin.boundary import border
 from ladar_volume.tin.relevant import longest_sides
 
 #: Heights of a terrace above the base, m; half the range of heights that is one, in standard
-#: deviations of the ground about the base, and the least of these, m.
-HEIGHTS, HALF, LEAST_M = (0.05, 1.0), 2.0, 0.0125
+#: deviations of the ground about the base, wide and, for a low one on uneven ground, narrow; and
+#: the least of these, m.
+HEIGHTS, HALF, LEAST_M = (0.05, 1.0), (2.0, 1.0), 0.0125
 #: A terrace has so many times the least area of as wide a range anywhere below it, and of one that
 #: ends within so many of its own widths above it; its least mean width, m; and the share of the
 #: volume above it.
@@ -35,17 +36,15 @@ def terrace_points(tin: Tin, base: Plane, inside_m2: F64, spread_m: float, radiu
     rows = rows[side <= max(radius_m, SPARSE * float(np.median(side)))]
     area = inside_m2[rows]
     mean = mean_heights(height_above(tin.vertices, base), tin.triangles, rows)
-    half = HALF * max(spread_m, LEAST_M)
-    at = terrace_height(mean, area, half)
-    if at == 0.0:
-        return np.zeros(0, np.int64)
     wide = WIDE_M * float(border(tin, inside_m2 > 0.0)[1].sum())
-    on = np.abs(mean - at) <= half
-    more, total = (float(area @ np.maximum(mean - low, 0.0)) for low in (at, 0.0))
-    if float(area[on].sum()) < wide or more < ABOVE * total:
-        return np.zeros(0, np.int64)
-    out = np.unique(tin.triangles[rows[on]]).astype(np.int64)
-    return out[np.abs(height_above(tin.vertices[out], base) - at) <= half]
+    for half in (times * max(spread_m, LEAST_M) for times in HALF):
+        at = terrace_height(mean, area, half)
+        on = np.abs(mean - at) <= half
+        more, total = (float(area @ np.maximum(mean - low, 0.0)) for low in (at, 0.0))
+        if at > 0.0 and float(area[on].sum()) >= wide and more >= ABOVE * total:
+            out = np.unique(tin.triangles[rows[on]]).astype(np.int64)
+            return out[np.abs(height_above(tin.vertices[out], base) - at) <= half]
+    return np.zeros(0, np.int64)
 
 
 @kernel
