@@ -158,7 +158,7 @@ def test_a_budget_of_several_errors(yard, capsys):
 
 def test_files_and_report_hold_every_pile(yard, tmp_path, capsys):
     out, page = tmp_path / "out", tmp_path / "report.html"
-    words = ("-o", out, "--as", "csv,geojson,json", "--report", page)
+    words = ("-o", out, "--as", "csv,geojson,json,landxml", "--report", page)
     facts = volume(capsys, yard, "--piles", yard / "piles.geojson", "--base", "toe_tin", *words)
     rows = list(csv.DictReader((out / "volumes.csv").open(encoding="utf-8")))
     assert [row["name"] for row in rows] == ["A", "B"]
@@ -168,6 +168,8 @@ def test_files_and_report_hold_every_pile(yard, tmp_path, capsys):
     for shape, (x, y, r, _) in zip(shapes, CONES.values(), strict=True):
         ring = np.array(shape["geometry"]["coordinates"][0])[:-1, :2]
         assert ring == pytest.approx(octagon(x, y, r + 1.5), abs=1e-6)
+    surfaces = (out / "surface.xml").read_text(encoding="utf-8")
+    assert '<Surface name="counted"' in surfaces and '<Surface name="around"' in surfaces
     text = page.read_text(encoding="utf-8")
     assert "Volume by base" in text and "gravel" in text
 

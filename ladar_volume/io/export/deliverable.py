@@ -76,7 +76,7 @@ class Deliverable:
     @cached_property
     def parts(self) -> list[Part]:
         """The surface where it counts, the rest of it, and the base under what counts (or the
-        second surface); without either the surface as such.
+        second surface); without a volume the surface as such.
         """
         known = self.base_m is not None
         base = self.base_m if self.base_m is not None else self.tin.vertices[:, 2]
@@ -85,8 +85,7 @@ class Deliverable:
         if self.outlines:
             points, mine, beyond = clipped_by_all(points, mine, self.outlines)
             rest = np.concatenate([rest, beyond])
-        alone = not known and self.other is None
-        out = [part("surface" if alone else "counted", points[:, :3], mine)]
+        out = [part("counted" if self.rows else "surface", points[:, :3], mine)]
         if len(rest):
             out.append(part("around", points[:, :3], rest))
         if known:
