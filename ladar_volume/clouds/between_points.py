@@ -38,6 +38,8 @@ ENOUGH, SQUARE = 400_000, 30.0
 #: A coarser surface is made of what lies within so many spacings of where it is compared, and more:
 #: triangles there are those of all. Most cells of the raster that tells it.
 AROUND, MOST_CELLS = 12.0, 1e8
+#: The golden section.
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 #: A sum of differences above this many times the root of its squares is no chance.
 CHANCE = 2.5
 #: Weights of the centre and of each corner of a triangle: exact for quadratics.
@@ -109,8 +111,10 @@ def between_points(
 
 
 def shifts_for(triangles: int) -> tuple[tuple[float, float], ...]:
-    """The shifts of the cells at which so many triangles are compared."""
-    return SHIFTS[: math.ceil(ENOUGH / triangles)]
+    """The shifts of the cells at which so many triangles are compared: chosen squares may hold a
+    tenth fewer than are enough.
+    """
+    return SHIFTS[: math.ceil(0.9 * ENOUGH / triangles)]
 
 
 def from_coarser(
@@ -140,16 +144,25 @@ def from_coarser(
 
 
 @kernel
-def chosen_squares(corner: F64, low: F64, side: float, every: int) -> Bool:
+def chosen_squares(corner: F64, low: F64, side: float, every: int, step: int) -> Bool:
     """Triangles (m,) whose first corner (m, 2) m, by x, then y, lies in one of ``every`` so many
-    squares of a raster: a knight's move from row to row, so that no row, column or diagonal goes
-    without.
+    squares of a raster, ``step`` squares on from row to row.
     """
     out = np.empty(len(corner), np.bool_)
     for i in range(len(corner)):
         u, v = np.floor((corner[i, 0] - low[0]) / side), np.floor((corner[i, 1] - low[1]) / side)
-        out[i] = (int(u) + 2 * int(v)) % every == 0
+        out[i] = (int(u) + step * int(v)) % every == 0
     return out
+
+
+def row_step(every: int) -> int:
+    """By how many squares the chosen ones move on from row to row: the number next to the golden
+    section of ``every`` that shares no divisor with it. They then lie evenly over an outline of any
+    size: with a short step, as a knight's, and more squares than a row has, all lay on a line.
+    """
+    near = round(GOLDEN * every)
+    steps = (near + off * sign for off in range(every) for sign in (-1, 1))
+    return next(step for step in steps if 0 < step <= every and math.gcd(step, every) == 1)
 
 
 def squares_every(triangles: int) -> int:
@@ -168,7 +181,7 @@ def some_squares(tin: Tin, inside: F64, bridged: Bool, spacing: F64, xy: F64) ->
         return np.where(bridged, 0.0, inside), 1.0
     low, _ = raster_of(xy, side)
     # asked of the vertices: there are half as many as triangles
-    chosen = chosen_squares(xy, low, side, every)
+    chosen = chosen_squares(xy, low, side, every, row_step(every))
     kept = np.asarray(chosen_areas(tin.vertices, tin.triangles, chosen, inside, bridged))
     return kept, float(kept.sum() / (inside.sum() - inside[bridged].sum()))
 

@@ -22,6 +22,7 @@ from ladar_volume.clouds.between_points import (
     chosen_squares,
     middles_of,
     number_vertices,
+    row_step,
     volume_by_block,
 )
 from ladar_volume.math.own_axes import OwnAxes, extent_of
@@ -76,7 +77,8 @@ class Seen:
         if self.squares.every > 1:
             xy = np.ascontiguousarray(surface.tin.vertices[:, :2])
             at = self.squares.axes.along(xy[first_corners(xy, surface.tin.triangles)])
-            out &= chosen_squares(at, self.squares.low, self.squares.side, self.squares.every)
+            s = self.squares
+            out &= chosen_squares(at, s.low, s.side, s.every, row_step(s.every))
         return out
 
 
