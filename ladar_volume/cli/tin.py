@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         C = None if surface.sigma_m is None else surface.representation.covariance(surface.sigma_m)
         sigma_z = None if C is None else np.sqrt(C.diagonal())
         status.update("writing")
-        output = write_surface(arguments, source, surface, frame, C)
+        output = write_surface(arguments, source, surface, frame, sigma_z, C)
         cleaned = write_cleaned(arguments, source, surface, frame)
     facts = {
         **surface_facts(source, surface),
@@ -157,12 +157,13 @@ def write_surface(
     source: Source,
     surface: CloudSurface,
     frame: Frame | None,
+    sigma_z: F64 | None,
     covariance: sparse.csr_array | None,
 ) -> dict[str, Any]:
-    """Write the surface in the map's frame, with the standard deviations of its heights, of which
-    this is the covariance (n, n), m²; returns what the JSON says of the file.
+    """Write the surface in the map's frame, with the standard deviations (n,), m, of its heights
+    and, where the format interpolates them, by their covariance (n, n), m²; returns what the JSON
+    says of the file.
     """
-    sigma_z = None if covariance is None else np.sqrt(covariance.diagonal())
     path = arguments.output
     if path.suffix.lower() != ".ply":
         vertices, faces = write_as(path, source, surface, sigma_z, covariance)

@@ -100,6 +100,13 @@ def test_a_raster_has_heights_with_sigma_and_contours_lie_on_round_heights(cloud
     assert len(heights) > 3 and all(abs(10.0 * h - round(10.0 * h)) < 1e-9 for h in heights)
 
 
+def test_a_name_of_a_cloud_that_xml_cannot_hold_is_no_name_of_a_surface(cloud, tmp_path):
+    odd = tmp_path / "a \x07 <b> & c.xyz"
+    odd.write_bytes(cloud.read_bytes())
+    assert len(read_landxml(written(odd, tmp_path / "tin.xml"))) > 100
+    assert len(read_dxf(written(odd, tmp_path / "tin.dxf"))) > 100
+
+
 @pytest.mark.parametrize(
     ("name", "words", "said"),
     [

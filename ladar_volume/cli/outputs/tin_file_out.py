@@ -11,9 +11,7 @@ from scipy import sparse
 from ladar_volume.cli.inputs.reading import Source
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.io.atomic_write import atomic_file
-from ladar_volume.io.export.deliverable import Deliverable, SurfacePoints
 from ladar_volume.io.export.formats import FORMATS
-from ladar_volume.io.export.output_system import system_of_cloud
 from ladar_volume.io.meshfiles.tin_files import check_tin_output
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64
@@ -29,8 +27,6 @@ def check_surface_output(arguments: argparse.Namespace) -> None:
     """Refuse an output that cannot be written, and options that its format has no room for; to ask
     before a long computation.
     """
-    from ladar_volume.io.export.export_set import check_packages
-
     ending = check_tin_output(arguments.output, (".ply", *ENDINGS)).suffix.lower()
     if ending == ".ply":
         return
@@ -42,6 +38,8 @@ def check_surface_output(arguments: argparse.Namespace) -> None:
             raise ConfigurationError(
                 f"{option} is for a surface as .ply, not {ending}", value=str(arguments.output)
             )
+    from ladar_volume.io.export.export_set import check_packages
+
     check_packages([ENDINGS[ending]])
 
 
@@ -55,11 +53,14 @@ def write_as(
     """Write the relevant triangles in another format than PLY; whole or not. sigma_z (n,) m,
     covariance (n, n) m² : of the heights of the vertices. Returns numbers of vertices, faces.
     """
+    # the other formats load what a PLY does not need
+    from ladar_volume.io.export.deliverable import Deliverable, SurfacePoints
     from ladar_volume.io.export.export_set import ExportRequest, writer
+    from ladar_volume.io.export.output_system import plain_words, system_of_cloud
 
     tin, name = surface.representation.tin, ENDINGS[path.suffix.lower()]
     surface_alone = Deliverable(
-        name=source.path.stem,
+        name=plain_words(source.path.stem),
         tin=tin,
         counted=tin.relevant,
         base_m=None,
