@@ -3,7 +3,7 @@ tile, on as many workers as there are, to what one process gives.
 
 1. The poses of the recording go through the georeferencer: datum, navigation, what is lost.
 2. Each piece of time is georeferenced with the poses around it (``time_pieces``), and its returns
-   are written to tiles (``tiles.return_store``).
+   are written to tiles (``return_store``).
 3. Each tile is filtered with a halo (``tiles.patch_tiles``): its patches are those of the whole.
 4. The patches of all tiles are one update of the estimator (``tiled_survey``): base, outline,
    volume and budget are those of one process, to the bit.

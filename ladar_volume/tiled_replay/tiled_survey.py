@@ -17,6 +17,8 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import Datum, Estimate
 from ladar_volume.replay import NEVER, Replay
 from ladar_volume.rmls.tile_filter import TilePatches
+from ladar_volume.tiled_replay.patch_tiles import TileTask, filter_tile, read_patches, update_of
+from ladar_volume.tiled_replay.return_store import LAYOUT, TileRows, voxels_of_side
 from ladar_volume.tiled_replay.time_pieces import (
     PIECE_S,
     Piece,
@@ -25,8 +27,6 @@ from ladar_volume.tiled_replay.time_pieces import (
     georeference_piece,
     pieces_of,
 )
-from ladar_volume.tiles.patch_tiles import TileTask, filter_tile, read_patches, update_of
-from ladar_volume.tiles.return_store import LAYOUT, TileRows, voxels_of_side
 from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_work import Workers, results
 from ladar_volume.version import version

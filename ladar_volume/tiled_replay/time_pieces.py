@@ -17,7 +17,7 @@ from ladar_volume.model.parameters import GeoreferenceParameters, Parameters
 from ladar_volume.model.records import Returns
 from ladar_volume.replay import Replay, Span
 from ladar_volume.rmls.surface_filter import SurfaceFilter
-from ladar_volume.tiles.return_store import TileRows, write_returns
+from ladar_volume.tiled_replay.return_store import TileRows, write_returns
 from ladar_volume.tiles.tile_store import Tile, digest
 
 #: Length of a piece of time, s, and that of the poses before it, besides what returns may wait and

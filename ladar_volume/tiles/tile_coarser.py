@@ -251,7 +251,7 @@ def kept_around(kept: KeptPoints, tin: Tin) -> F64:
     """The vertices (k, 2) m of a coarser surface in all tiles that a surface reaches."""
     low, high = extent_of(np.ascontiguousarray(tin.vertices[:, :2]))
     tiles = tiles_in(kept, (low[0], low[1], high[0], high[1]))
-    return np.concatenate([np.zeros((0, 2)), *(kept.points(tile)[:, :2] for tile in tiles)])
+    return np.concatenate([np.zeros((0, 2)), *(kept.places(tile)[:, :2] for tile in tiles)])
 
 
 def covered_in(of: TiledCloud, tile: Tile, kept: KeptPoints, wrote: bool, one: int) -> F64:

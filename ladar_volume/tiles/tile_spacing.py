@@ -18,6 +18,7 @@ from ladar_volume.math.own_axes import OwnAxes, extent_of, moments_about, raster
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box, box_of, read, write
+from ladar_volume.tiles.tile_places import hull_of_places, places
 from ladar_volume.tiles.tile_store import CloudParts, Tile
 from ladar_volume.tiles.tile_surface import used_of
 from ladar_volume.tin.sampled_area import lasting_sizes
@@ -150,14 +151,14 @@ def keep(
     extents: F64,
     shift: tuple[float, float],
     lost: I64,
-) -> tuple[int, Box | None]:
-    """The vertices (k, 3) kept of a tile, at rest: without the rows that ``lost`` to those of other
-    tiles. Returns how many, and their box.
+) -> tuple[int, Box | None, F64]:
+    """The footprints kept of a tile, at rest: without the rows that ``lost`` to those of other
+    tiles. Returns how many, their box, and the corners (h, 2) m of their hull.
     """
     cells, some, _ = nearest_to_middles(of, tile, rasters, extents, shift)
-    xyz = used_of(of.index, of.limits, tile)[0][some[~np.isin(cells.row, lost)]]
-    write(kept_folder(rasters, shift), "kept", tile, xyz)
-    return len(xyz), box_of(xyz[:, :2])
+    kept = places(used_of(of.index, of.limits, tile)[0][some[~np.isin(cells.row, lost)]])
+    write(kept_folder(rasters, shift), "kept", tile, kept)
+    return len(kept), box_of(kept[:, :2]), hull_of_places(kept[:, :2])
 
 
 def kept_folder(rasters: Rasters, shift: tuple[float, float]) -> Path:
@@ -167,15 +168,18 @@ def kept_folder(rasters: Rasters, shift: tuple[float, float]) -> Path:
 
 @dataclass(frozen=True)
 class KeptPoints:
-    """The vertices that a coarser surface has, as points in tiles. box : by tile"""
+    """The vertices that a coarser surface has, as points in tiles. box : by tile · hull : (h, 2)
+    corners of the hull of all, m
+    """
 
     cloud: CloudParts
     box: dict[Tile, Box]
+    hull: F64
     folder: Path
 
-    def points(self, tile: Tile) -> F64:
-        """Points (k, 3) m of a tile."""
-        return read(self.folder, "kept", tile) if tile in self.box else np.zeros((0, 3))
+    def places(self, tile: Tile) -> F64:
+        """Footprints (k, 4) of a tile: :func:`~ladar_volume.tiles.tile_places.places`."""
+        return read(self.folder, "kept", tile) if tile in self.box else np.zeros((0, 4))
 
 
 def winners(cells: Cells) -> Bool:

@@ -21,6 +21,7 @@ import numpy as np
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tiles.tile_places import off_hull
 from ladar_volume.tiles.tile_store import CloudParts, Tile
 from ladar_volume.tin.full_tin import any_corner, build_tin, first_corners
 from ladar_volume.tin.predicates import incircle, orientation, workspace
@@ -29,7 +30,7 @@ from ladar_volume.tin.predicates import incircle, orientation, workspace
 HALO = 6.0
 #: Triangles flatter than this (twice the area over the longest edge squared) have a circle that
 #: rounding moves: it is computed with whole fractions.
-FLAT = 1e-5
+FLAT = 1e-8
 #: Relative margin of the other circles.
 MARGIN = 1e-6
 
@@ -54,18 +55,6 @@ class TileStars:
     star: Bool
     counted: Bool
     rounds: int
-
-
-def places(points: F64) -> F64:
-    """The distinct footprints of points (n, 3) by x, then y: (k, 4) of x, y, the mean height of the
-    points there, m, and how many these are; points with the same three coordinates are one.
-    """
-    r = points[np.lexsort(points.T[::-1])] + 0.0  # no signed zeros
-    r = r[np.r_[True, (np.diff(r, axis=0) != 0).any(axis=1)][: len(r)]]
-    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
-    count = np.diff(np.r_[first, len(r)])
-    height = np.add.reduceat(r[:, 2], first) / count
-    return np.column_stack([r[first, :2], np.where(count > 1, height, r[first, 2]), count])
 
 
 @kernel
@@ -152,9 +141,10 @@ def meets(corners: F64, box: Box) -> bool:
     return dx * dx + dy * dy <= square
 
 
-def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box) -> OpenSides:
+def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box, whole: F64) -> OpenSides:
     """The triangles of the stars whose circles leave the box ``safe``, all points of which are in
-    the triangulation, and the hull edges at the tile's own vertices (n,).
+    the triangulation, and the hull edges at the tile's own vertices (n,) that the hull of all
+    points, whose corners are ``whole`` (h, 2), reaches beyond.
     """
     xy, triangles = tin.vertices[:, :2], tin.triangles[star]
     corners = xy[triangles]
@@ -167,8 +157,8 @@ def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box) -> OpenSides:
         for k in range(3)
     ]
     hull = np.concatenate(ends)
-    hull = hull[own[hull].any(axis=1)]
-    return OpenSides(corners[~inside], reach[~inside], xy[hull])
+    sides = xy[hull[own[hull].any(axis=1)]]
+    return OpenSides(corners[~inside], reach[~inside], sides[off_hull(sides, whole)])
 
 
 def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
@@ -186,32 +176,42 @@ def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
     return rows[rows >= 0]
 
 
-def reaches(sides: OpenSides, box: Box) -> bool:
-    """Whether anything that is open reaches a box."""
-    x0, y0, x1, y1 = box
+def reached(sides: OpenSides, boxes: F64) -> Bool:
+    """Which of boxes (t, 4) anything that is open reaches."""
+    x0, y0, x1, y1 = boxes.T
     r = sides.reach
-    near = (r[:, 0] <= x1) & (r[:, 1] <= y1) & (r[:, 2] >= x0) & (r[:, 3] >= y0)
-    if near.any():
-        return True
-    a, b = sides.ends[:, 0], sides.ends[:, 1]
-    along = np.stack([b - a] * 4)
-    at = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])[:, None, :] - a
-    side = along[..., 0] * at[..., 1] - along[..., 1] * at[..., 0]
-    margin = 1e-9 * np.abs(along).max(axis=2) * (np.abs(at).max(axis=2) + np.abs(a).max(axis=1))
-    if bool((side <= margin).any()):
-        return True
-    flat = np.flatnonzero(np.isnan(r[:, 0]))
-    return any(meets(sides.corners[t], box) for t in flat.tolist())
+    known = r[~np.isnan(r[:, 0])]
+    out = np.zeros(len(boxes), np.bool_)
+    if len(known):
+        (a, b), (c, d) = known[:, :2].min(axis=0), known[:, 2:].max(axis=0)
+        some = np.flatnonzero((a <= x1) & (b <= y1) & (c >= x0) & (d >= y0))
+        left, low, right, high = boxes[some].T[..., None]
+        meet = (known[:, 0] <= right) & (known[:, 1] <= high)
+        out[some] = (meet & (known[:, 2] >= left) & (known[:, 3] >= low)).any(axis=1)
+    corners = np.stack([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]).transpose(2, 0, 1)
+    for a, b in sides.ends:
+        along, at = b - a, corners - a
+        margin = 1e-9 * np.abs(along).max() * (np.abs(corners).max() + np.abs(a).max())
+        out |= (along[0] * at[..., 1] - along[1] * at[..., 0] <= margin).any(axis=1)
+    flat = sides.corners[np.isnan(r[:, 0])]
+    for k in np.flatnonzero(~out).tolist() if len(flat) else []:
+        box = tuple(boxes[k].tolist())
+        out[k] = any(meets(one, box) for one in flat)
+    return out
 
 
 class TilePoints(Protocol):
-    """Points in tiles: the side of these, by tile the box of its points, and the points."""
+    """Points in tiles: the side of these, by tile the box of its points, the corners (h, 2) of the
+    hull of all, and the footprints of a tile as :func:`~ladar_volume.tiles.tile_places.places`.
+    """
 
     @property
     def cloud(self) -> CloudParts: ...
     @property
     def box(self) -> Mapping[Tile, Box]: ...
-    def points(self, tile: Tile) -> F64: ...
+    @property
+    def hull(self) -> F64: ...
+    def places(self, tile: Tile) -> F64: ...
 
 
 class Neighbourhood:
@@ -220,6 +220,8 @@ class Neighbourhood:
     def __init__(self, index: TilePoints, tile: Tile, own: int) -> None:
         self.index, self.tile, self.side = index, tile, index.cloud.tile_m
         self.halo = min(self.side, HALO * self.side / max(own, 1) ** 0.5)
+        self.others = sorted(t for t in index.box if t != tile)
+        self.boxes = np.array([index.box[t] for t in self.others]).reshape(-1, 4)
         self.rows: dict[Tile, Bool] = {}
         self.taken: dict[Tile, F64] = {}
         self.read: dict[Tile, F64] = {}
@@ -229,7 +231,7 @@ class Neighbourhood:
         if tile not in self.read:
             while sum(map(len, self.read.values())) > KEPT:
                 self.read.pop(next(iter(self.read)))
-            self.read[tile] = places(self.index.points(tile))
+            self.read[tile] = self.index.places(tile)
         return self.read[tile]
 
     @property
@@ -270,18 +272,15 @@ class Neighbourhood:
     def take_against(self, sides: OpenSides) -> int:
         """Add the points of all tiles that speak against the open sides; returns how many."""
         added = 0
-        for tile, box in self.index.box.items():
-            if tile != self.tile and reaches(sides, box):
-                added += self.take(tile, partial(intruders, sides, box))
+        for k in np.flatnonzero(reached(sides, self.boxes)).tolist():
+            tile = self.others[k]
+            added += self.take(tile, partial(intruders, sides, self.index.box[tile]))
         return added
 
     def take_nearest(self) -> int:
         """Add the points of the nearest tile that has some left; returns how many."""
         i, j = self.tile
-        order = sorted(self.index.box, key=lambda t: ((t[0] - i) ** 2 + (t[1] - j) ** 2, t))
-        for tile in order:
-            if tile == self.tile:
-                continue
+        for tile in sorted(self.others, key=lambda t: ((t[0] - i) ** 2 + (t[1] - j) ** 2, t)):
             if added := self.take(tile, lambda p, known: np.flatnonzero(~known)):
                 return added
         return 0
@@ -291,7 +290,7 @@ def tile_stars(index: TilePoints, tile: Tile) -> TileStars:
     """The final triangles round the points of a tile. Raises :class:`SurfaceError` where the whole
     cloud has fewer than three points off one line.
     """
-    own = places(index.points(tile))
+    own = index.places(tile)
     around = Neighbourhood(index, tile, len(own))
     around.take_halo()
     rounds = 0
@@ -307,7 +306,7 @@ def tile_stars(index: TilePoints, tile: Tile) -> TileStars:
             continue
         mine = tin.source < len(own)
         star: Bool = np.asarray(any_corner(tin.triangles, mine))
-        if around.take_against(open_sides(tin, star, mine, around.safe_box)) == 0:
+        if around.take_against(open_sides(tin, star, mine, around.safe_box, index.hull)) == 0:
             break
         if around.halo < around.side:
             around.halo = min(2.0 * around.halo, around.side)

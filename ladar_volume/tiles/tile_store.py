@@ -30,6 +30,7 @@ from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError, short_repr
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tiles.tile_places import places_and_rows
 
 #: Points read at a time: about 100 bytes each while they are sorted.
 PART = 1_000_000
@@ -185,7 +186,8 @@ class TileIndex:
 
     cloud : the parts · parts : by tile, the parts that hold points of it, ascending · count : by
     tile · box : by tile, x and y low, x and y high of its points, m · left_out : points that do not
-    count, by reason · doubts : about the coordinates
+    count, by reason · doubts : about the coordinates · hull : (h, 2) corners of the hull of all
+    points, m
     """
 
     cloud: CloudParts
@@ -194,6 +196,7 @@ class TileIndex:
     box: dict[Tile, tuple[float, float, float, float]]
     left_out: dict[str, int]
     doubts: tuple[Doubt, ...]
+    hull: F64
 
     def points(self, tile: Tile) -> F64:
         """Points (n, 3) m of a tile in file order."""
@@ -207,6 +210,29 @@ class TileIndex:
         found = [k * each + member(self.cloud.archive(k), name).astype(np.int64) for k in parts]
         return np.concatenate(found) if found else np.zeros(0, np.int64)
 
+    def places(self, tile: Tile) -> F64:
+        """Footprints (k, 4) of a tile: :func:`~ladar_volume.tiles.tile_places.places`."""
+        return self._at_rest(tile, "places")
+
+    def place_rows(self, tile: Tile) -> I64:
+        """The least of the :meth:`rows` at each of these (k,)."""
+        return self._at_rest(tile, "row")
+
+    def _at_rest(self, tile: Tile, name: str) -> np.ndarray:
+        """One of both: neighbours ask for them often, so they are sorted once. Made anew where they
+        are not at rest or are damaged.
+        """
+        path = self.cloud.folder / "places" / f"{tile[0]}_{tile[1]}.npz"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return np.asarray(file[name])
+        except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
+            found, row = places_and_rows(self.points(tile), self.rows(tile))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as part, part.open("wb") as out:
+            np.savez(out, places=found, row=row)
+        return row if name == "row" else found
+
 
 def member(archive: Path, name: str) -> np.ndarray:
     """One array of an archive. Raises :class:`InputError` for one that is damaged."""
@@ -219,7 +245,7 @@ def member(archive: Path, name: str) -> np.ndarray:
 
 
 def tile_index(cloud: CloudParts) -> TileIndex:
-    """The index of all parts, which are there. Raises :class:`CloudError` where no point counts."""
+    """The index of all parts, which are there, without the hull. Raises :class:`CloudError` where no point counts."""
     parts: dict[Tile, list[int]] = {}
     count: dict[Tile, int] = {}
     box: dict[Tile, tuple[float, float, float, float]] = {}
@@ -239,7 +265,8 @@ def tile_index(cloud: CloudParts) -> TileIndex:
     if not parts:
         words = f"{cloud.path}: none of {cloud.points} points counts; choose with --classes"
         raise CloudError(words, reason="cloud_classes", value=left_out)
-    return TileIndex(cloud, parts, count, box, left_out, tuple(doubts.values()))
+    known = tuple(doubts.values())
+    return TileIndex(cloud, parts, count, box, left_out, known, np.zeros((0, 2)))
 
 
 def notes_of(archive: Path) -> tuple[dict[str, int], list[Doubt]]:

@@ -114,15 +114,14 @@ def used_of(index: TileIndex, limits: Limits, tile: Tile) -> tuple[F64, F64, I64
 
 def make_surface(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
     """Triangulate a tile and keep what belongs to it."""
-    points = index.points(tile)
-    stars, first = tile_stars(index, tile), first_rows(points, index.rows(tile))
+    stars, first = tile_stars(index, tile), index.place_rows(tile)
     tin = stars.tin
     row = np.full(len(tin.vertices), -1, np.int64)
     row[stars.own] = first[tin.source[stars.own]]
     counts = relevant_triangles(
         tin, limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
     )
-    return part_of_tile(stars, row, counts, len(points))
+    return part_of_tile(stars, row, counts, index.count[tile])
 
 
 def part_of_tile(stars: TileStars, row: I64, counts: Bool, points: int) -> TileSurface:
@@ -147,11 +146,3 @@ def part_of_tile(stars: TileStars, row: I64, counts: Bool, points: int) -> TileS
         points,
         stars.rounds,
     )
-
-
-def first_rows(points: F64, rows: I64) -> I64:
-    """The least of the rows (n,) at each footprint of points (n, 3), by x, then y."""
-    x, y = points[:, 0] + 0.0, points[:, 1] + 0.0
-    order = np.lexsort((rows, y, x))
-    new = np.r_[True, (np.diff(x[order]) != 0) | (np.diff(y[order]) != 0)][: len(order)]
-    return np.asarray(rows[order][new])

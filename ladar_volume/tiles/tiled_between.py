@@ -26,6 +26,7 @@ from ladar_volume.tiles import tile_coarser, tile_spacing
 from ladar_volume.tiles.tile_batches import added, ask, ask_merged, givers
 from ladar_volume.tiles.tile_coarser import Blocks, Seen, Squares, Widths
 from ladar_volume.tiles.tile_fit import VertexSelection
+from ladar_volume.tiles.tile_places import joined_hull
 from ladar_volume.tiles.tile_spacing import Cells, KeptPoints, Rasters
 from ladar_volume.tiles.tile_store import digest
 from ladar_volume.tiles.tile_surface import surface_folder
@@ -167,10 +168,11 @@ class BetweenFinder:
         lost_of = np.repeat(np.arange(len(cells)), [len(c.row) for c in cells])[loses]
         more = [(rasters, extents, shift, lost[lost_of == k]) for k in range(len(cells))]
         found = self._each(tile_spacing.keep, more)
-        if sum(n for n, _ in found) < FEWEST // 4:
+        if sum(n for n, _, _ in found) < FEWEST // 4:
             return None
-        boxes = {t: box for t, (_, box) in zip(of.tiles, found, strict=True) if box is not None}
-        return KeptPoints(of.index.cloud, boxes, tile_spacing.kept_folder(rasters, shift))
+        boxes = {t: f[1] for t, f in zip(of.tiles, found, strict=True) if f[1] is not None}
+        hull, folder = joined_hull([f[2] for f in found]), tile_spacing.kept_folder(rasters, shift)
+        return KeptPoints(of.index.cloud, boxes, hull, folder)
 
 
 def merged(told: Sequence[F64]) -> F64:

@@ -28,6 +28,7 @@ from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers,
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
 from ladar_volume.tiles.tile_outline import Box
+from ladar_volume.tiles.tile_places import hull_of_places, joined_hull
 from ladar_volume.tiles.tile_store import (
     CloudParts,
     Tile,
@@ -97,6 +98,13 @@ def noise_of_tile(points: F64) -> float | None:
         return None
 
 
+def sort_tile(of: TiledCloud, tile: Tile) -> tuple[int, F64]:
+    """Put the footprints of a tile at rest; returns how many points it has and the corners (h, 2)
+    of their hull, m.
+    """
+    return of.index.count[tile], hull_of_places(of.index.places(tile)[:, :2])
+
+
 def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
     """Triangulate a tile where that is not done yet; ``noise`` : whether that of its points is
     asked for.
@@ -128,7 +136,16 @@ def triangulated(
     )
     index = tile_index(cloud)
     check_tile(index, cloud.tile_m)
-    of, total = TiledCloud(index, limits), sum(index.count.values())
+    total = sum(index.count.values())
+    by_number = [(k, [(tile,)]) for k, tile in enumerate(sorted(index.count))]
+    ends = results(
+        workers,
+        partial(run_batch, sort_tile, TiledCloud(index, limits)),
+        by_number,
+        lambda done: progress("sorted", total, done[1][0][0]),
+    )
+    index = dataclasses.replace(index, hull=joined_hull([hull for _, [(_, hull)] in ends]))
+    of = TiledCloud(index, limits)
     longest = sorted(index.count, key=lambda t: (-index.count[t], t))
     found = results(
         workers,

@@ -8,7 +8,7 @@ import pytest
 from ladar_volume.model.errors import ConfigurationError, InputError
 from ladar_volume.rmls.tile_filter import HALO
 from ladar_volume.rmls.voxel_store import Candidates, pack_key, unpack_key
-from ladar_volume.tiles.return_store import (
+from ladar_volume.tiled_replay.return_store import (
     read_returns,
     tiles_of_rows,
     voxels_of_side,

@@ -14,7 +14,7 @@ from ladar_volume.model.errors import InputError, LadarVolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import I64, Bool, FilteredPoints, FilterUpdate, Patches
 from ladar_volume.rmls.tile_filter import TileFilter, TilePatches
-from ladar_volume.tiles.return_store import TileRows, read_returns, within_tile
+from ladar_volume.tiled_replay.return_store import TileRows, read_returns, within_tile
 from ladar_volume.tiles.tile_store import Tile
 
 #: Bytes of a slot of a voxel, of the fit of one and of a patch with its blocks while they are made.

@@ -1,0 +1,90 @@
+"""The distinct footprints of points, by x, then y; and the hull of all points.
+
+A side of the hull of some points is one of the hull of all where no corner of the latter lies
+beyond it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.tin.predicates import orientation, workspace
+
+
+def places(points: F64) -> F64:
+    """The distinct footprints of points (n, 3) by x, then y: (k, 4) of x, y, the mean height of the
+    points there, m, and how many these are; points with the same three coordinates are one.
+    """
+    return places_and_rows(points, np.zeros(len(points), np.int64))[0]
+
+
+def places_and_rows(points: F64, rows: I64) -> tuple[F64, I64]:
+    """:func:`places`, and the least of the rows (n,) of the points at each."""
+    order = np.lexsort(points.T[::-1])
+    r, rows = points[order] + 0.0, rows[order]  # no signed zeros
+    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
+    at_place = np.minimum.reduceat(rows, first) if len(r) else rows
+    distinct = np.r_[True, (np.diff(r, axis=0) != 0).any(axis=1)][: len(r)]
+    r = r[distinct]
+    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
+    count = np.diff(np.r_[first, len(r)])
+    height = np.add.reduceat(r[:, 2], first) / count if len(r) else r[:, 2]
+    height = np.where(count > 1, height, r[first, 2])
+    return np.column_stack([r[first, :2], height, count]), at_place
+
+
+def hull_of_places(xy: F64) -> F64:
+    """Corners (h, 2) of the convex hull of distinct places (k, 2) by x, then y, counter-clockwise;
+    both ends of what lies on one line.
+    """
+    xy = np.ascontiguousarray(xy)
+    return xy[hull_kernel(xy, workspace())]
+
+
+@kernel
+def hull_kernel(xy: F64, w: F64) -> I64:
+    """Rows of the corners of the hull of places (k, 2), by two chains (Andrew 1979), exactly."""
+    n = len(xy)
+    out = np.empty(2 * n + 1, np.int64)
+    top, floor = 0, 1
+    for step in range(2 * n - 1):
+        k = step if step < n else 2 * n - 2 - step
+        if step == n:
+            floor = top
+        while top > floor:
+            a, b = xy[out[top - 2]], xy[out[top - 1]]
+            if orientation(a[0], a[1], b[0], b[1], xy[k, 0], xy[k, 1], w) > 0.0:
+                break
+            top -= 1
+        out[top] = k
+        top += 1
+    return out[: max(top - 1, min(n, 1))]
+
+
+def joined_hull(hulls: Sequence[F64]) -> F64:
+    """Corners (h, 2) of the hull of all, from those of parts."""
+    return hull_of_places(np.unique(np.concatenate(hulls), axis=0))
+
+
+def off_hull(ends: F64, hull: F64) -> Bool:
+    """Which of sides (e, 2, 2), the surface to their left, have corners (h, 2) of the hull of all
+    points beyond them.
+    """
+    return np.asarray(beyond_kernel(np.ascontiguousarray(ends), hull, workspace()))
+
+
+@kernel
+def beyond_kernel(ends: F64, hull: F64, w: F64) -> Bool:
+    """See :func:`off_hull`."""
+    out = np.zeros(len(ends), np.bool_)
+    for e in range(len(ends)):
+        ax, ay, bx, by = ends[e, 0, 0], ends[e, 0, 1], ends[e, 1, 0], ends[e, 1, 1]
+        for h in range(len(hull)):
+            if orientation(ax, ay, bx, by, hull[h, 0], hull[h, 1], w) < 0.0:
+                out[e] = True
+                break
+    return out
