@@ -81,7 +81,7 @@ def patch_of(
         if not len(missing):
             return patch
         # long triangles on the hull lead far out of the box: fetch what meets their corners
-        parts += parts_at(of, missing, folder)
+        parts += parts_at(of, missing, folder, edges)
 
 
 def whole_part(surface: TileSurface, inside: Bool) -> SurfacePart:
@@ -112,9 +112,12 @@ def parts_beside(
             yield part_round(s, inside_of(s, other, folder), marked)
 
 
-def parts_at(of: TiledCloud, xy: F64, folder: Path | None) -> Iterator[SurfacePart]:
-    """What the tiles that places (n, 2) m lie in have round the vertices there. Raises
-    :class:`InputError` where a tile at rest has none.
+def parts_at(
+    of: TiledCloud, xy: F64, folder: Path | None, edges: int
+) -> Iterator[SurfacePart]:
+    """What the tiles that places (n, 2) m lie in have round the vertices there, and round their own
+    so many edges away: these are asked for next. Raises :class:`InputError` where a tile at rest
+    has none.
     """
     cells = np.floor(xy / of.index.cloud.tile_m).astype(np.int64)
     for i, j in np.unique(cells, axis=0).tolist():
@@ -127,6 +130,8 @@ def parts_at(of: TiledCloud, xy: F64, folder: Path | None) -> Iterator[SurfacePa
             raise InputError(words, reason="input_unreadable", value=str(path))
         marked = np.zeros(len(s.own), np.bool_)
         marked[own[at]] = True
+        grow_kernel(s.tin.triangles, marked, edges)
+        marked &= s.own
         yield part_round(s, inside_of(s, (i, j), folder), marked)
 
 

@@ -245,7 +245,9 @@ def member(archive: Path, name: str) -> np.ndarray:
 
 
 def tile_index(cloud: CloudParts) -> TileIndex:
-    """The index of all parts, which are there, without the hull. Raises :class:`CloudError` where no point counts."""
+    """The index of all parts, which are there, without the hull. Raises :class:`CloudError` where
+    no point counts.
+    """
     parts: dict[Tile, list[int]] = {}
     count: dict[Tile, int] = {}
     box: dict[Tile, tuple[float, float, float, float]] = {}
