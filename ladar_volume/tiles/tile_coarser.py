@@ -25,8 +25,9 @@ from ladar_volume.clouds.between_points import (
     row_step,
     volume_by_block,
 )
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import OwnAxes, extent_of
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box, read, write
 from ladar_volume.tiles.tile_patch import (
@@ -107,24 +108,32 @@ def together(widths: Sequence[Widths]) -> Widths:
     return Widths(bins, np.asarray(np.bincount(at.reshape(-1), area, len(bins)), np.float64))
 
 
-def seen_together(found: Sequence[tuple[F64, Widths]]) -> tuple[F64, Widths]:
-    """What :func:`seen_widths` tells of several tiles."""
-    facts = np.stack([f for f, _ in found])
+def facts_together(found: Sequence[F64]) -> F64:
+    """What :func:`seen_facts` tells of several tiles."""
+    facts = np.stack(found)
     low, high = facts[:, 2:4].min(axis=0), facts[:, 4:].max(axis=0)
-    return np.array([*facts[:, :2].sum(axis=0), *low, *high]), together([w for _, w in found])
+    return np.array([*facts[:, :2].sum(axis=0), *low, *high])
 
 
-def seen_widths(of: TiledCloud, tile: Tile, seen: Seen) -> tuple[F64, Widths]:
+def seen_facts(of: TiledCloud, tile: Tile, seen: Seen) -> F64:
     """How many triangles of a tile are looked at, their area, m², and the least and greatest
-    coordinates of their middles along the axes (6,); and how wide they are.
+    coordinates of their middles along the axes (6,).
     """
     surface = surface_of(of.index, of.limits, tile)
     t = surface.tin.triangles[seen.of_tile(surface, tile)]
     area = footprint_areas(surface.tin.vertices, t)
     middle = middles_of(seen.squares.axes.along(surface.tin.vertices[:, :2])[t])
     low, high = extent_of(middle)
-    width = circumdiameters(surface.tin.vertices, t)
-    return np.array([len(t), area.sum(), *low, *high]), in_bins(width, area)
+    return np.array([len(t), area.sum(), *low, *high])
+
+
+def seen_widths(of: TiledCloud, tile: Tile, seen: Seen) -> Widths:
+    """How wide these are."""
+    surface = surface_of(of.index, of.limits, tile)
+    t = surface.tin.triangles[seen.of_tile(surface, tile)]
+    return in_bins(
+        circumdiameters(surface.tin.vertices, t), footprint_areas(surface.tin.vertices, t)
+    )
 
 
 def widths_in(of: TiledCloud, tile: Tile, seen: Seen, one: int) -> F64:
@@ -137,10 +146,32 @@ def widths_in(of: TiledCloud, tile: Tile, seen: Seen, one: int) -> F64:
     return out
 
 
-def coarser_stars(of: TiledCloud, tile: Tile, kept: KeptPoints) -> None:
-    """The triangles of the coarser surface round a tile's vertices that were kept, at rest."""
-    if tile not in kept.box:
-        return
+class CoarserPart(NamedTuple):
+    """Vertices (n, 3) m and triangles (m, 3) of the coarser surface round the vertices of a tile
+    that were kept, and the ends (e, 4) m of the sides of its hull at these.
+    """
+
+    vertices: F64
+    triangles: I32
+    hull: F64
+
+
+def coarser_of(kept: KeptPoints, tile: Tile) -> CoarserPart:
+    """What a tile knows of the coarser surface, read where it is at rest, made where it is not."""
+    path = kept.folder / "coarser" / f"{tile[0]}_{tile[1]}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return CoarserPart(*(file[name] for name in CoarserPart._fields))
+    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
+        made = make_coarser(kept, tile)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as part, part.open("wb") as out:
+        np.savez(out, **made._asdict())
+    return made
+
+
+def make_coarser(kept: KeptPoints, tile: Tile) -> CoarserPart:
+    """Triangulate it."""
     stars = tile_stars(kept, tile)
     tin, star = stars.tin, stars.star
     corners = np.unique(tin.triangles[star]).astype(np.int64)
@@ -153,20 +184,31 @@ def coarser_stars(of: TiledCloud, tile: Tile, kept: KeptPoints) -> None:
     ]
     hull = np.concatenate(ends)
     hull = hull[stars.own[hull].any(axis=1)]
-    write(kept.folder, "vertices", tile, tin.vertices[corners])
-    write(kept.folder, "triangles", tile, triangles)
-    write(kept.folder, "hull", tile, tin.vertices[hull, :2].reshape(-1, 4))
+    return CoarserPart(tin.vertices[corners], triangles, tin.vertices[hull, :2].reshape(-1, 4))
+
+
+def tiles_below(of: TiledCloud, tile: Tile, kept: KeptPoints, seen: Seen) -> list[Tile]:
+    """The tiles whose coarser surface the triangles of a tile that are looked at lie over."""
+    tin = (surface := surface_of(of.index, of.limits, tile)).tin
+    corners = tin.triangles[seen.of_tile(surface, tile)]
+    return tiles_in(kept, wider(reach_of(tin, corners), 1.0)) if len(corners) else []
+
+
+def coarser_here(of: TiledCloud, tile: Tile, kept: KeptPoints, wanted: bool) -> None:
+    """Put the coarser surface of a tile at rest, where it is wanted."""
+    if wanted:
+        coarser_of(kept, tile)
 
 
 def coarser_around(kept: KeptPoints, tiles: list[Tile]) -> tuple[Tin, F64]:
     """The coarser surface that some tiles know, and the ends (e, 4) m of the sides of its hull."""
-    parts = []
-    for tile in tiles:
-        vertices, triangles = (read(kept.folder, n, tile) for n in ("vertices", "triangles"))
-        none, every = np.zeros(len(vertices), np.bool_), np.ones(len(triangles), np.bool_)
-        parts.append(SurfacePart(vertices, triangles, none.astype(float), none, ~every, every))
+    found, parts = [coarser_of(kept, tile) for tile in tiles], []
+    for one in found:
+        none, every = np.zeros(len(one.vertices), np.bool_), np.ones(len(one.triangles), np.bool_)
+        zero = none.astype(np.float64)
+        parts.append(SurfacePart(one.vertices, one.triangles, zero, none, ~every, every))
     patch, _ = joined(parts)
-    return patch.tin, np.concatenate([read(kept.folder, "hull", tile) for tile in tiles])
+    return patch.tin, np.concatenate([one.hull for one in found])
 
 
 def beyond_hull(xy: F64, sides: F64) -> Bool:
@@ -179,19 +221,31 @@ def beyond_hull(xy: F64, sides: F64) -> Bool:
     return out
 
 
+def reach_of(tin: Tin, corners: I32) -> Box:
+    """The box of triangles (m, 3), one or more."""
+    (x0, y0), (x1, y1) = extent_of(tin.vertices[corners, :2].reshape(-1, 2))
+    return x0, y0, x1, y1
+
+
+def wider(reach: Box, times: float) -> Box:
+    """A box with so many eighths of its longer side around it."""
+    x0, y0, x1, y1 = reach
+    width = times * max(x1 - x0, y1 - y0) / 8.0
+    return x0 - width, y0 - width, x1 + width, y1 + width
+
+
 def on_coarser(kept: KeptPoints, places: F64, reach: Box) -> tuple[Tin, Places]:
     """Places (p, 3) m of a surface on the coarser one: its part that holds them."""
-    width = max(reach[2] - reach[0], reach[3] - reach[1]) / 8.0
+    times = 1.0
     while True:
-        x0, y0, x1, y1 = reach
-        tiles = tiles_in(kept, (x0 - width, y0 - width, x1 + width, y1 + width))
+        tiles = tiles_in(kept, wider(reach, times))
         if tiles:
             coarse, hull = coarser_around(kept, tiles)
             where = locate(triangle_index(coarse), places[:, :2])
             left = where < 0
             if len(tiles) == len(kept.box) or beyond_hull(places[left, :2], hull).all():
                 return coarse, Places(places[:, 2], where, barycentric(coarse, where, places))
-        width *= 2.0
+        times *= 2.0
 
 
 @dataclass(frozen=True)
@@ -225,10 +279,8 @@ def compare(of: TiledCloud, tile: Tile, kept: KeptPoints, seen: Seen) -> Shares:
     left_out = np.flatnonzero(rows_at(kept_around(kept, tin), tin.vertices) >= 0)
     rows, place = number_vertices(corners, n, left_out)
     centres = centres_of(tin.vertices, corners)
-    xy = tin.vertices[corners, :2].reshape(-1, 2)
-    low, high = extent_of(xy)
     places = np.concatenate([centres, tin.vertices[rows]])
-    coarse, at = on_coarser(kept, places, (low[0], low[1], high[0], high[1]))
+    coarse, at = on_coarser(kept, places, reach_of(tin, corners))
     z = np.concatenate([tin.vertices[:, 2], coarse.vertices[:, 2]])
     two = Compared(z, corners, (n + coarse.triangles).astype(np.int64))
     sums = Differences(np.zeros(len(corners)), np.zeros(len(z)), np.zeros(len(coarse.triangles)))

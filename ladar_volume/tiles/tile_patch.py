@@ -112,11 +112,9 @@ def parts_beside(
             yield part_round(s, inside_of(s, other, folder), marked)
 
 
-def parts_at(
-    of: TiledCloud, xy: F64, folder: Path | None, edges: int
-) -> Iterator[SurfacePart]:
+def parts_at(of: TiledCloud, xy: F64, folder: Path | None, edges: int) -> Iterator[SurfacePart]:
     """What the tiles that places (n, 2) m lie in have round the vertices there, and round their own
-    so many edges away: these are asked for next. Raises :class:`InputError` where a tile at rest
+    up to a third of so many edges away: these are asked for next. Raises :class:`InputError` where a tile at rest
     has none.
     """
     cells = np.floor(xy / of.index.cloud.tile_m).astype(np.int64)
@@ -130,7 +128,7 @@ def parts_at(
             raise InputError(words, reason="input_unreadable", value=str(path))
         marked = np.zeros(len(s.own), np.bool_)
         marked[own[at]] = True
-        grow_kernel(s.tin.triangles, marked, edges)
+        grow_kernel(s.tin.triangles, marked, edges // 3)
         marked &= s.own
         yield part_round(s, inside_of(s, (i, j), folder), marked)
 

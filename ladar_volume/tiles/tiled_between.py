@@ -62,7 +62,7 @@ class BetweenFinder:
             return NOTHING
         told = merged(self._ask(tile_spacing.tell_spacings, rasters))
         whole = Squares(rasters.axes, rasters.low, 1.0, 1)
-        facts, widths = self._seen(Seen(self.outline, whole))
+        facts = self._facts(Seen(self.outline, whole))
         if facts[0] < FEWEST:
             return NOTHING
         area, every = facts[1], squares_every(int(facts[0]))
@@ -71,7 +71,8 @@ class BetweenFinder:
         if every >= 2 and math.isfinite(side):
             low, _ = raster_between((rasters.low, rasters.high), side)
             seen = Seen(self.outline, Squares(rasters.axes, low, side, every))
-            facts, widths = self._seen(seen)
+            facts = self._facts(seen)
+        widths = self._merged(tile_coarser.seen_widths, tile_coarser.together, seen)
         finest = self._half(widths, lambda one: self._ask(tile_coarser.widths_in, seen, one))
         extents, found = told[np.isfinite(told[:, 0])], []
         extent = np.array([facts[2:4], facts[4:6]])
@@ -114,9 +115,9 @@ class BetweenFinder:
             with atomic_file(rasters.filled(k)) as part, part.open("wb") as file:
                 np.save(file, beside_full_blocks(raster).reshape(-1), allow_pickle=False)
 
-    def _seen(self, seen: Seen) -> tuple[F64, Widths]:
-        """Number, area and extent (6,) of the triangles looked at, and how wide they are."""
-        return self._merged(tile_coarser.seen_widths, tile_coarser.seen_together, seen)
+    def _facts(self, seen: Seen) -> F64:
+        """Number, area and extent (6,) of the triangles looked at."""
+        return self._merged(tile_coarser.seen_facts, tile_coarser.facts_together, seen)
 
     def _half(self, widths: Widths, fetch: Callable[[int], list[F64]]) -> float:
         """The width, m, that half of the area is below: that of one of those in its bin."""
@@ -140,7 +141,8 @@ class BetweenFinder:
         kept = self._kept(rasters, extents, shift)
         if kept is None:
             return None
-        self._ask(tile_coarser.coarser_stars, kept)
+        wanted = {tile for some in self._ask(tile_coarser.tiles_below, kept, seen) for tile in some}
+        self._each(tile_coarser.coarser_here, [(kept, t in wanted) for t in self.fitter.of.tiles])
         shares = self._merged(tile_coarser.compare, tile_coarser.shares_together, kept, seen)
         asked = [(kept, wrote) for wrote in shares.wrote]
         size = self._half(

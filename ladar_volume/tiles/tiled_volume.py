@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from ladar_volume.tiles.tile_store import (
 )
 from ladar_volume.tiles.tile_surface import Limits, surface_folder, surface_of
 from ladar_volume.tiles.tile_volume import Above, Beside, Squares, TileSums
-from ladar_volume.tiles.tile_work import Workers, results
+from ladar_volume.tiles.tile_work import Workers, each_result, results
 from ladar_volume.tiles.tiled_between import BetweenFinder
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
@@ -57,6 +58,9 @@ from ladar_volume.volume.volume_loads import base_name
 #: Up to this many tiles are taken whatever they hold. More must hold this many points each in the
 #: mean; a side that is suggested gives this many.
 FEW_TILES, FEWEST, ENOUGH = 100, 12, 200
+#: In how many tasks at most the tiles are sorted and triangulated.
+TASKS = 512
+R = TypeVar("R")
 #: Called with the stage, its points, and how many of them a task has just done.
 Progress = Callable[[str, int, int], None]
 
@@ -98,11 +102,9 @@ def noise_of_tile(points: F64) -> float | None:
         return None
 
 
-def sort_tile(of: TiledCloud, tile: Tile) -> tuple[int, F64]:
-    """Put the footprints of a tile at rest; returns how many points it has and the corners (h, 2)
-    of their hull, m.
-    """
-    return of.index.count[tile], hull_of_places(of.index.places(tile)[:, :2])
+def sort_tile(of: TiledCloud, tile: Tile) -> F64:
+    """Put the footprints of a tile at rest; returns the corners (h, 2) of their hull, m."""
+    return hull_of_places(of.index.places(tile)[:, :2])
 
 
 def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
@@ -136,24 +138,33 @@ def triangulated(
     )
     index = tile_index(cloud)
     check_tile(index, cloud.tile_m)
-    total = sum(index.count.values())
-    by_number = [(k, [(tile,)]) for k, tile in enumerate(sorted(index.count))]
-    ends = results(
-        workers,
-        partial(run_batch, sort_tile, TiledCloud(index, limits)),
-        by_number,
-        lambda done: progress("sorted", total, done[1][0][0]),
-    )
-    index = dataclasses.replace(index, hull=joined_hull([hull for _, [(_, hull)] in ends]))
-    of = TiledCloud(index, limits)
-    longest = sorted(index.count, key=lambda t: (-index.count[t], t))
-    found = results(
-        workers,
-        partial(run_batch, triangulate_tile, of),
-        [(k, [(tile, noise)]) for k, tile in enumerate(longest)],
-        lambda done: progress("surface", total, done[1][0].points),
-    )
-    return of, {longest[k]: one for k, (one,) in found}
+    work = EachTile(workers, index, progress)
+    ends = work.done(TiledCloud(index, limits), sort_tile, "sorted")
+    of = TiledCloud(dataclasses.replace(index, hull=joined_hull(list(ends.values()))), limits)
+    return of, work.done(of, partial(triangulate_tile, noise=noise), "surface")
+
+
+@dataclass(frozen=True)
+class EachTile:
+    """What is done once for each tile, the fullest first."""
+
+    workers: Workers
+    index: TileIndex
+    progress: Progress
+
+    def done(
+        self, of: TiledCloud, op: Callable[[TiledCloud, Tile], R], stage: str
+    ) -> dict[Tile, R]:
+        """The answers by tile."""
+        count = self.index.count
+        order, total = sorted(count, key=lambda t: (-count[t], t)), sum(count.values())
+        tasks = [(k, [(t,) for t in order[k::TASKS]]) for k in range(min(TASKS, len(order)))]
+        out: dict[Tile, R] = {}
+        for k, found in each_result(self.workers, partial(run_batch, op, of), tasks):
+            some = order[k::TASKS]
+            self.progress(stage, total, sum(count[t] for t in some))
+            out |= zip(some, found, strict=True)
+        return out
 
 
 def check_tile(index: TileIndex, tile_m: float) -> None:
