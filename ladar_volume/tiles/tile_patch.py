@@ -114,8 +114,8 @@ def parts_beside(
 
 def parts_at(of: TiledCloud, xy: F64, folder: Path | None, edges: int) -> Iterator[SurfacePart]:
     """What the tiles that places (n, 2) m lie in have round the vertices there, and round their own
-    up to a third of so many edges away: these are asked for next. Raises :class:`InputError` where a tile at rest
-    has none.
+    up to a third of so many edges away: these are asked for next. Raises :class:`InputError` where
+    a tile at rest has none.
     """
     cells = np.floor(xy / of.index.cloud.tile_m).astype(np.int64)
     for i, j in np.unique(cells, axis=0).tolist():
