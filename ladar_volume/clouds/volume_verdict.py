@@ -43,7 +43,12 @@ from ladar_volume.volume.field_checks.base_readings import (
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
-from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.gaps import (
+    BridgedVolume,
+    bridged_volume,
+    find_gaps,
+    gap_doubts,
+)
 from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.plant_cover import known_cover
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
@@ -250,13 +255,20 @@ def with_gaps(
     found = bridged_volume(tin, base, inside, surface.vertex_variance, gaps)
     known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
     gap_mask = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
-    doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
+    volume, doubts = with_bridged(volume, found, gaps.area_m2, outline)
+    return volume, gap_mask, doubts
+
+
+def with_bridged(
+    volume: CloudVolume, found: BridgedVolume, gap_m2: float, outline: str
+) -> tuple[CloudVolume, list[Doubt]]:
+    """What :func:`with_gaps` makes of the gaps, gap_m2 of the area."""
+    doubts = gap_doubts(found, gap_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
     if outline == "all":
-        more = found.variance_m6 + found.more_m3**2
-        return with_lines(volume, {"unseen": more}), gap_mask, doubts
+        return with_lines(volume, {"unseen": found.variance_m6 + found.more_m3**2}), doubts
     cut, fill = with_net(volume.cut_m3, volume.fill_m3, found.more_m3)
     volume = dataclasses.replace(volume, cut_m3=cut, fill_m3=fill)
-    return with_lines(volume, {"unseen": found.variance_m6}), gap_mask, doubts
+    return with_lines(volume, {"unseen": found.variance_m6}), doubts
 
 
 def with_between_points(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
@@ -387,7 +399,7 @@ def with_layers(
     lift as well, with what they do to it.
     """
     source = surface.representation.tin.source[vertex_mask(surface.representation.tin, inside > 0)]
-    layers = two_layers(surface.points, source[source >= 0].astype(np.int64))
+    layers = two_layers(surface.points, np.sort(source[source >= 0]).astype(np.int64))
     doubts, sigma = layer_doubts(layers, volume.area_m2, volume.sigma_m3)
     return with_lines(volume, {"layers": sigma**2}) if doubts else volume, doubts
 

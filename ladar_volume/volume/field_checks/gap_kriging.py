@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64
 
@@ -34,7 +33,7 @@ LONG, MORE = 1.5, 2.0
 class ObservedPoints:
     """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, their usual spacing, m,
     and mean unit vectors (n, 3) to where they were seen from; of no length where these are not
-    known. by_x : their rows (n,) from west to east
+    known. by_x : their rows (n,) by x, then y, whatever their order
     """
 
     r: F64
@@ -48,7 +47,7 @@ class ObservedPoints:
     def of(cls, r: F64, variance: F64, spacing_m: float, view: F64 | None = None) -> ObservedPoints:
         """The points with a tree to find them."""
         known = np.zeros((0, 3)) if view is None else view
-        by_x = np.argsort(r[:, 0], kind="stable")
+        by_x = np.lexsort((r[:, 1], r[:, 0]))
         return cls(r, variance, spacing_m, cKDTree(r[:, :2]), by_x, known)
 
 
@@ -82,8 +81,9 @@ def diameter(area_m2: float) -> float:
 
 def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64, wide_m: float) -> I64:
     """Points (k,) around a gap of places xy (k, 2) m with areas weight (k,) m², but not in it: each
-    further from its places than ``apart`` (k,) m, and one of each square of a grid, so many that
-    they are few. wide_m : of the widest circle in it: the rim of a long gap is seen by its width
+    further from its places than ``apart`` (k,) m, by x, then y, and the one next to the middle of
+    each square of a grid, so wide that they are few. wide_m : of the widest circle in it: the rim
+    of a long gap is seen by its width
     """
     round_m = diameter(float(weight.sum()))
     size = min(round_m, LONG * wide_m)
@@ -93,13 +93,22 @@ def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64, wide_m: f
     far = float(np.hypot(*(xy - middle).T).max()) + reach
     span = (middle[0] - far, middle[0] + far)
     first, last = np.searchsorted(seen.r[:, 0], span, sorter=seen.by_x)
-    rows = np.sort(seen.by_x[first:last])
+    rows = seen.by_x[first:last]
     at = np.ascontiguousarray(seen.r[rows, :2])
     rows = rows[rim_kernel(at, middle, np.ascontiguousarray(xy), apart, (far, reach))]
     side = seen.spacing_m
     while len(rows) > most:
-        rows, side = rows[distinct_rows(np.floor(seen.r[rows, :2] / side))], 1.3 * side
+        rows, side = rows[next_to_middles(seen.r[rows, :2] / side)], 1.3 * side
     return rows
+
+
+def next_to_middles(xy: F64) -> I64:
+    """Rows (k,), ascending, of places (n, 2): that next to the middle of each unit square."""
+    square = np.floor(xy)
+    off = ((xy - square - 0.5) ** 2).sum(axis=1)
+    order = np.lexsort((off, square[:, 1], square[:, 0]))
+    new = np.r_[True, (np.diff(square[order], axis=0) != 0).any(axis=1)][: len(order)]
+    return np.sort(order[new])
 
 
 @kernel

@@ -137,11 +137,8 @@ def find_gaps(tin: Tin, inside_m2: F64, spacing_m: F64 | None = None) -> Gaps:
     inside = inside_m2 > 0.0
     longest = edge_lengths(tin, inside).max(axis=1)
     usual = float(np.median(longest)) if len(longest) else 0.0
-    here = np.full(len(longest), usual)
-    if spacing_m is not None:
-        near = np.where(np.isfinite(spacing_m), spacing_m, 0.0)[tin.triangles[inside]]
-        here = np.maximum(usual, np.median(near, axis=1))
-    over = longest > GAP * here
+    near = None if spacing_m is None else spacing_m[tin.triangles[inside]]
+    over, here = spanning(longest, usual, near)
     wide = inside.copy()
     wide[inside] = over
     number = np.full(len(inside), -1, np.int32)
@@ -149,13 +146,31 @@ def find_gaps(tin: Tin, inside_m2: F64, spacing_m: F64 | None = None) -> Gaps:
         return Gaps(number, np.zeros(0), usual)
     part = components(tin, wide)
     area: F64 = np.bincount(part[wide], inside_m2[wide]).astype(np.float64)
-    square = np.bincount(part[wide], here[over] ** 2) / np.bincount(part[wide])
-    order = np.argsort(-area, kind="stable")
-    order = order[area[order] > LEAST**2 * square[order]]
+    square: F64 = np.bincount(part[wide], here[over] ** 2).astype(np.float64)
+    order = gaps_among(area, np.bincount(part[wide]), square)
     rank = np.full(len(area), -1, np.int64)
     rank[order] = np.arange(len(order))
     number[wide] = rank[part[wide]]
     return Gaps(number, area[order], usual)
+
+
+def spanning(longest: F64, usual_m: float, spacing_m: F64 | None) -> tuple[Bool, F64]:
+    """Which triangles with longest edges (m,) m are wider than gaps are, and what is usual there
+    (m,) m. spacing_m : (m, 3) at their corners, None for the same everywhere
+    """
+    here = np.full(len(longest), usual_m)
+    if spacing_m is not None:
+        near = np.where(np.isfinite(spacing_m), spacing_m, 0.0)
+        here = np.maximum(usual_m, np.median(near, axis=1))
+    return np.asarray(longest > GAP * here), here
+
+
+def gaps_among(area: F64, count: I64, square: F64) -> I64:
+    """Which parts are gaps, the largest first: areas (k,) m² of parts of so many (k,) triangles
+    each, and sums (k,) m² of the squares of what is usual at these.
+    """
+    order = np.argsort(-area, kind="stable")
+    return order[area[order] > LEAST**2 * (square / count)[order]]
 
 
 @kernel
@@ -223,22 +238,37 @@ def places_of(corners: F64, share: F64) -> tuple[F64, F64, F64]:
     return np.column_stack([x, y]), weight, z
 
 
-def gap_of(
-    tin: Tin, base: Plane, gaps: Gaps, number: int, inside_m2: F64, seen: ObservedPoints
-) -> tuple[Gap, UnseenVolume | None]:
-    """One gap with its surface above the base."""
-    rows = np.flatnonzero(gaps.triangle == number)
-    corners = tin.vertices[tin.triangles[rows]]
-    corners[:, :, 2] -= base_height(base, corners[:, :, :2].reshape(-1, 2)).reshape(-1, 3)
-    share = inside_m2[rows] / np.maximum(footprint_areas(tin.vertices, tin.triangles[rows]), 1e-300)
+def in_own_order(corners: F64, share: F64) -> tuple[F64, F64]:
+    """Triangles (t, 3, 3), each from its first corner by x, then y, in the order of these, and
+    their shares (t,): the same whatever the triangles' numbers.
+    """
+    first = np.lexsort((corners[:, :, 1], corners[:, :, 0]), axis=1)[:, 0]
+    turn = (first[:, None] + np.arange(3)) % 3
+    corners = np.take_along_axis(corners, turn[:, :, None], axis=1)
+    order = np.lexsort((*corners[:, 1, 1::-1].T, *corners[:, 0, 1::-1].T))
+    return corners[order], share[order]
+
+
+def gap_over(corners: F64, share: F64, seen: ObservedPoints) -> tuple[Gap, UnseenVolume | None]:
+    """The gap that triangles with corners (t, 3, 3) m span, heights above the base, of which a
+    share (t,) counts, and its surface.
+    """
+    corners, share = in_own_order(corners, share)
     xy, weight, height = places_of(corners, np.clip(share, 0.0, 1.0))
     d = np.asarray(seen.tree.query(xy)[0])
     found = unseen_surface(seen, xy, weight, APART * d, height)
     x, y = ((weight @ xy) / weight.sum()).tolist()
-    size = np.ptp(tin.vertices[np.unique(tin.triangles[rows]), :2], axis=0)
+    size = np.ptp(corners[:, :, :2].reshape(-1, 2), axis=0)
     more = 0.0 if found is None else found.volume_m3 - float(weight @ height)
     sigma = float("nan") if found is None else found.variance_m6**0.5
     return Gap(x, y, float(weight.sum()), float(size.max()), sigma, more), found
+
+
+def corners_above(tin: Tin, base: Plane, rows: I64) -> F64:
+    """Corners (t, 3, 3) m of triangles ``rows`` (t,), their heights above the base."""
+    corners = tin.vertices[tin.triangles[rows]]
+    corners[:, :, 2] -= base_height(base, corners[:, :, :2].reshape(-1, 2)).reshape(-1, 3)
+    return corners
 
 
 def views_above(base: Plane, xy: F64, view: F64) -> F64:
@@ -261,18 +291,27 @@ def bridged_volume(
     r[:, 2] -= base_height(base, r[:, :2])
     looked = None if view is None else views_above(base, r[:, :2], view[used])
     seen = ObservedPoints.of(r, variance[used], gaps.usual_m, looked)
-    made, more, total, unknown = [], 0.0, 0.0, 0.0
+    made = []
     for number in range(min(MOST, len(gaps.areas))):
-        gap, found = gap_of(tin, base, gaps, number, inside_m2, seen)
-        made.append(gap)
+        rows = np.flatnonzero(gaps.triangle == number)
+        whole = footprint_areas(tin.vertices, tin.triangles[rows])
+        share = inside_m2[rows] / np.maximum(whole, 1e-300)
+        made.append(gap_over(corners_above(tin, base, rows), share, seen))
+    return bridged_together(made, gaps.areas)
+
+
+def bridged_together(made: list[tuple[Gap, UnseenVolume | None]], areas: F64) -> BridgedVolume:
+    """What gaps do together: the largest of all, whose areas are (k,) m², with their surfaces."""
+    more = total = unknown = 0.0
+    for gap, found in made:
         if found is None:
             unknown += gap.area_m2
             continue
         more, total = more + gap.more_m3, total + found.variance_m6
     # the variance of |h|³ in a gap of diameter d goes with d³ times its area²
-    size = gaps.areas**3.5
+    size = areas**3.5
     total *= float(size.sum() / size[:MOST].sum())
-    return BridgedVolume(more, total, tuple(made), unknown)
+    return BridgedVolume(more, total, tuple(gap for gap, _ in made), unknown)
 
 
 def hidden_m6(tin: Tin, base: Plane, part: F64, gaps: Gaps, hidden: F64) -> float:

@@ -39,9 +39,9 @@ TRIALS, AWAY, SIZES, ENOUGH = 12, 2.5, (1.0, 0.7, 0.5, 0.35), 6
 #: laid over seen places, and how many of these it counts for.
 DOUBTED, BEFORE = 0.5, 4.0
 #: Standard deviation of where a surface falls that is level on both sides of a gap, over the area
-#: between smooth surface and chords, above them and below. As far as from the middle to either end
-#: for a step of 45 degrees in a gap 1.75 times as wide as it is high: in the shadow of an edge,
-#: which is where most such gaps come from, the surface falls at once.
+#: between smooth surface and chords, above them and below. That of a step of 45 degrees anywhere
+#: from end to end, even odds, in gaps 1.75 to 2.2 times as wide as it is high: in the shadow of an
+#: edge, which is where most such gaps come from, the surface falls at once.
 FALLS = 3.5
 #: What is less than so many standard deviations of the points' noise is no fall.
 NOISE = 3.0
