@@ -9,11 +9,13 @@ are never taken for these.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
@@ -198,6 +200,10 @@ class TileIndex:
     doubts: tuple[Doubt, ...]
     hull: F64
 
+    def __reduce__(self) -> tuple[Callable[..., TileIndex], tuple[object, ...]]:
+        """Workers read it from the parts at rest, once: it goes with every task."""
+        return index_at_rest, (self.cloud, self.hull.tobytes())
+
     def points(self, tile: Tile) -> F64:
         """Points (n, 3) m of a tile in file order."""
         name = f"{tile[0]}_{tile[1]}"
@@ -269,6 +275,13 @@ def tile_index(cloud: CloudParts) -> TileIndex:
         raise CloudError(words, reason="cloud_classes", value=left_out)
     known = tuple(doubts.values())
     return TileIndex(cloud, parts, count, box, left_out, known, np.zeros((0, 2)))
+
+
+@lru_cache(maxsize=2)
+def index_at_rest(cloud: CloudParts, hull: bytes) -> TileIndex:
+    """The index of a process, with the hull's corners."""
+    corners = np.frombuffer(hull, np.float64).reshape(-1, 2).copy()
+    return dataclasses.replace(tile_index(cloud), hull=corners)
 
 
 def notes_of(archive: Path) -> tuple[dict[str, int], list[Doubt]]:

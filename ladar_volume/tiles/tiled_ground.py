@@ -32,7 +32,7 @@ from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_work import Workers
-from ladar_volume.tiles.tiled_ranks import rows_at_ranks
+from ladar_volume.tiles.tiled_ranks import median_of_bins, rows_at_ranks
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class GroundFitter:
             count, square, right, name = found
             N = inverse_of(count, square, p.degree)
             beta = N @ right
-            squares, robust = self._spread(chosen, beta, count)
+            squares, robust = self._spread(chosen, beta)
             plane = dataclasses.replace(start, beta=beta, rms_m=math.sqrt(squares[0] / count))
             lower = math.sqrt(squares[2] / squares[1]) if squares[1] else 0.0
             limit = p.threshold_m or max(THRESHOLD_SIGMAS * max(robust, lower), floor)
@@ -118,19 +118,16 @@ class GroundFitter:
         check_tilt(plane, p)
         return TiledFit(plane, chosen, count, N)
 
-    def _spread(self, chosen: VertexSelection, beta: F64, count: int) -> tuple[F64, float]:
-        """Sums as of :func:`tile_fit.spread`, and the robust sigma of the residuals, m: their
-        median is found among those in its bins.
-        """
+    def _spread(self, chosen: VertexSelection, beta: F64) -> tuple[F64, float]:
+        """Sums as of :func:`tile_fit.spread`, and the robust sigma of the residuals, m."""
         found = ask(self.workers, self.of, tile_fit.spread, self._same(chosen, beta))
-        bins, at = np.unique(np.concatenate([b for _, b, _ in found]), return_inverse=True)
-        below = np.cumsum(np.bincount(at, np.concatenate([c for _, _, c in found]))).astype(int)
-        ranks = np.array([(count - 1) // 2, count // 2])
-        first, last = np.searchsorted(below, ranks, side="right")
-        asked = self._same(chosen, beta, int(bins[first]), int(bins[last]))
-        sizes = np.sort(np.concatenate(ask(self.workers, self.of, tile_fit.sizes_in, asked)))
-        before = int(below[first - 1]) if first else 0
-        median = float(np.mean(sizes[ranks - before]))
+
+        def sizes(low: int, high: int) -> list[F64]:
+            return ask(
+                self.workers, self.of, tile_fit.sizes_in, self._same(chosen, beta, low, high)
+            )
+
+        median = median_of_bins([(bins, count) for _, bins, count in found], sizes)
         return np.sum([s for s, _, _ in found], axis=0), MAD_TO_SIGMA * median
 
     def at_ranks(self, chosen: VertexSelection, n: int, step: int) -> F64:

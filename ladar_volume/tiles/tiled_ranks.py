@@ -1,14 +1,17 @@
-"""Which rows of the file some of the vertices of all tiles have, by their rank among them: without
-all rows in one place.
+"""Order statistics of all tiles, without all values in one place: which rows of the file some of
+their vertices have, by their rank, and medians.
 
-Rows are counted in blocks, and the blocks that hold a rank are divided, until they are small.
+Rows are counted in blocks, and the blocks that hold a rank are divided, until they are small. A
+median is found among the values in its bins.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
-from ladar_volume.model.records import I64
+from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_fit import VertexSelection
@@ -44,3 +47,19 @@ def rows_at_ranks(
     rows = np.sort(np.concatenate(ask(workers, of, tile_fit.rows_in_blocks, asked)))
     place = np.cumsum(held) - held
     return np.asarray(rows[place[at] + ranks - before[at]])
+
+
+def median_of_bins(
+    found: Sequence[tuple[I64, I64]], fetch: Callable[[int, int], Sequence[F64]]
+) -> float:
+    """The median of values of which each tile tells the bins, ascending with the values, and how
+    many there are in each. fetch : takes the first and the last of some bins, and gives the values
+    in them, by tile
+    """
+    bins, at = np.unique(np.concatenate([b for b, _ in found]), return_inverse=True)
+    below = np.cumsum(np.bincount(at, np.concatenate([c for _, c in found]))).astype(int)
+    ranks = np.array([(below[-1] - 1) // 2, below[-1] // 2])
+    first, last = np.searchsorted(below, ranks, side="right")
+    values = np.sort(np.concatenate(fetch(int(bins[first]), int(bins[last]))))
+    before = int(below[first - 1]) if first else 0
+    return float(np.mean(values[ranks - before]))

@@ -18,12 +18,12 @@ from ladar_volume.clouds.between_points import BetweenPoints
 from ladar_volume.clouds.cloud_noise import cloud_noise
 from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, with_noise
 from ladar_volume.clouds.sampling.site_lengths import SiteSize, site_lengths
-from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.heights import height_above
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import ParameterValueError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles import tile_outline, tile_volume
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers, run_batch
 from ladar_volume.tiles.tile_fit import VertexSelection
@@ -41,9 +41,9 @@ from ladar_volume.tiles.tile_store import (
 from ladar_volume.tiles.tile_surface import Limits, surface_folder, surface_of
 from ladar_volume.tiles.tile_volume import Above, Beside, Squares, TileSums
 from ladar_volume.tiles.tile_work import Workers, each_result, results
-from ladar_volume.tiles.tiled_between import BetweenFinder
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
+from ladar_volume.tiles.unseen.tiled_judgement import judged
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.ground_field import (
     Roughness,
@@ -79,6 +79,7 @@ class TiledVolume:
     sums: list[TileSums]
     sigma_m: float
     parameters: Parameters
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -230,11 +231,10 @@ def volume_by_tiles(
     asked = Above(base, folder, sigma, near)
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
     volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
-    between = None
-    if task.between and task.limits.relevant == "all" and math.isfinite(volume.sigma_m3):
-        between = BetweenFinder(fitter, folder).found()
-        volume = with_lines(volume, {"between_points": between.variance_m6})
-    return TiledVolume(volume, between, base, of.index, sums, sigma, parameters)
+    if not (task.between and task.limits.relevant == "all" and math.isfinite(volume.sigma_m3)):
+        return TiledVolume(volume, None, base, of.index, sums, sigma, parameters)
+    volume, between, doubts = judged(volume, fitter, folder, base, v)
+    return TiledVolume(volume, between, base, of.index, sums, sigma, parameters, tuple(doubts))
 
 
 def near_folder(of: TiledCloud, base: Plane, outline: Path | None, sigma_m: float) -> Path:

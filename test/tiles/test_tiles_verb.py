@@ -27,12 +27,15 @@ def test_the_verb_gives_what_one_triangulation_gives(cloud, capsys):
     for name in ("cut_m3", "fill_m3", "net_m3", "area_m2"):
         assert tiled[name] == pytest.approx(getattr(whole, name), rel=1e-9)
     budget = tiled["budget_m6"]
-    assert tiled["base"] == whole.base and set(budget) == {"noise", "between_points"}
+    assert tiled["base"] == whole.base and set(budget) == {"noise", "unseen", "between_points"}
     assert budget["noise"] == pytest.approx(whole.budget_m6["noise"], rel=1e-9)
     assert tiled["sigma_m3"] ** 2 == pytest.approx(sum(budget.values()), rel=1e-9)
-    names = [reason["name"] for reason in tiled["verdict"]["reasons"]]
-    assert "tiles_not_judged" in names and main(words(cloud, "--tile", "30", "--strict")) == 3
+    assert [reason["name"] for reason in tiled["verdict"]["reasons"]] == ["unseen"]
+    assert main([*words(cloud, "--tile", "30", "--strict")]) == 3
     assert "tiles of 30 m" in capsys.readouterr().out
+    ground = ["tiles", str(cloud), "--base", "ground", "--sigma", str(SIGMA), "--tile", "30"]
+    assert main([*ground, "--strict"]) == 3  # the toe is not judged
+    assert "not judged by tiles" in capsys.readouterr().out
 
 
 def test_tiles_with_next_to_nothing_in_them_are_refused(tmp_path, capsys):

@@ -17,7 +17,6 @@ from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.sampling.site_lengths import length_facts, named_lengths
-from ladar_volume.clouds.volume_verdict import coarse_doubts
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
@@ -139,19 +138,19 @@ def held_words(found: TiledVolume) -> str:
 
 def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
     """What speaks against a volume by tiles."""
-    volume, points = found.volume, sum(s.points for s in found.sums)
-    missing = ["strays", "objects", "gaps", "the edge of the outline"]
-    missing += ["other readings of the ground"] * ground
-    missing += ["what lies between the points"] * (found.between is None)
-    words = (
-        f"{', '.join(missing)} of {points:,} points are not judged by tiles, and not in sigma; "
-        "clean the cloud before, limit the triangles with --max-edge, and hold a part of it "
-        "against ladar_volume volume"
-    )
-    out = [Doubt("tiles_not_judged", words, float(points))]
-    if math.isnan(volume.sigma_m3):
+    points = sum(s.points for s in found.sums)
+    missing = ["the toe, other readings of the ground, walls and what grows"] * ground
+    missing += ["gaps and what lies between the points"] * (found.between is None)
+    out = list(found.doubts)
+    if missing:
+        words = (
+            f"{', '.join(missing)} of {points:,} points are not judged by tiles, and not in sigma; "
+            "hold a part of the cloud against ladar_volume volume"
+        )
+        out.append(Doubt("tiles_not_judged", words, float(points)))
+    if math.isnan(found.volume.sigma_m3):
         out.append(NO_SIGMA)
-    return out if found.between is None else out + coarse_doubts(volume, found.between)
+    return out
 
 
 def refuse_unknown_options(a: argparse.Namespace) -> None:

@@ -5,6 +5,7 @@ above what is measured. The surface through all points lies between them and is 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,13 @@ def two_layers(points: F64, rows: I64) -> Layers:
     if len(points) < 10 * FEWEST or not len(some):
         return Layers(0.0, 0.0)
     near = neighbours(points, np.arange(len(points)), some)
+    return layers_of(near, points[some], lambda: float(rounding_steps(points)[2]))
+
+
+def layers_of(near: F64, places: F64, step_m: Callable[[], float]) -> Layers:
+    """The layers about places (k, 3) m, from the points (k, m, 3) nearest to each. step_m : to
+    which heights were rounded, asked where there are layers
+    """
     h = np.sort(heights_above_plane(near), axis=1)
     k = h.shape[1]
     cut = np.arange(FEWEST, k - FEWEST + 1)
@@ -52,13 +60,13 @@ def two_layers(points: F64, rows: I64) -> Layers:
     within = h - np.where(upper, high[:, None], low[:, None])
     spread = np.sqrt((within**2).sum(axis=1) / (k - 2))
     split = gap.max(axis=1) > GAP * np.maximum(spread, 1e-12)
-    block = blocks(points[some, :2])
+    block = blocks(places[:, :2])
     often = np.bincount(block, split) > OFTEN * np.bincount(block)
     layered = often[block]
     if not (split & layered).any():
         return Layers(0.0, 0.0)
     apart_m = float(np.median((high - low)[split & layered]))
-    if apart_m < ROUNDED * rounding_steps(points)[2]:
+    if apart_m < ROUNDED * step_m():
         return Layers(0.0, 0.0)
     return Layers(float(layered.mean()), apart_m)
 

@@ -35,7 +35,7 @@ ALONE, WIDER = 10.0, 4.0
 
 def rounding_steps(r: F64) -> F64:
     """Step (3,) m of each coordinate of points (n, 3); 0 where there is none that matters."""
-    some = _chosen(r)
+    some = lowest_hashes(r)
     steps = [_step(some[:, axis]) for axis in range(3)]
     coarsest = max((step for step in steps if step is not None), default=0.0)
     # what says nothing, such as one height for all, was rounded as the others
@@ -46,7 +46,7 @@ def rounding_steps(r: F64) -> F64:
     return found
 
 
-def _chosen(r: F64) -> F64:
+def lowest_hashes(r: F64) -> F64:
     """As many of the points (n, 3) as tell the step: by their hashes, the same in any order."""
     if len(r) <= LOOKED_AT:
         return r

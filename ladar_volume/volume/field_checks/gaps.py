@@ -249,14 +249,19 @@ def in_own_order(corners: F64, share: F64) -> tuple[F64, F64]:
     return corners[order], share[order]
 
 
-def gap_over(corners: F64, share: F64, seen: ObservedPoints) -> tuple[Gap, UnseenVolume | None]:
+def gap_over(
+    corners: F64, share: F64, seen: ObservedPoints | None
+) -> tuple[Gap, UnseenVolume | None]:
     """The gap that triangles with corners (t, 3, 3) m span, heights above the base, of which a
-    share (t,) counts, and its surface.
+    share (t,) counts, and its surface; None where nothing can be told of it, as where nothing is
+    known of what was seen.
     """
     corners, share = in_own_order(corners, share)
     xy, weight, height = places_of(corners, np.clip(share, 0.0, 1.0))
-    d = np.asarray(seen.tree.query(xy)[0])
-    found = unseen_surface(seen, xy, weight, APART * d, height)
+    found = None
+    if seen is not None:
+        apart = APART * np.asarray(seen.tree.query(xy)[0])
+        found = unseen_surface(seen, xy, weight, apart, height)
     x, y = ((weight @ xy) / weight.sum()).tolist()
     size = np.ptp(corners[:, :, :2].reshape(-1, 2), axis=0)
     more = 0.0 if found is None else found.volume_m3 - float(weight @ height)

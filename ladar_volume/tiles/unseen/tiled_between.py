@@ -22,15 +22,15 @@ from ladar_volume.clouds.between_points import (
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
 from ladar_volume.model.records import F64, I64
-from ladar_volume.tiles import tile_coarser, tile_spacing
-from ladar_volume.tiles.tile_batches import added, ask, ask_merged, givers
-from ladar_volume.tiles.tile_coarser import Blocks, Seen, Squares, Widths
+from ladar_volume.tiles.tile_batches import ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_places import joined_hull
-from ladar_volume.tiles.tile_spacing import Cells, KeptPoints, Rasters
 from ladar_volume.tiles.tile_store import digest
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tiled_ground import GroundFitter
+from ladar_volume.tiles.unseen import tile_coarser, tile_spacing
+from ladar_volume.tiles.unseen.tile_coarser import Blocks, Seen, Squares, Widths
+from ladar_volume.tiles.unseen.tile_spacing import Cells, KeptPoints, Rasters
 from ladar_volume.tin.sampled_area import FEWEST, SAMPLED, beside_full_blocks, cell_sizes
 
 R = TypeVar("R")
@@ -39,10 +39,13 @@ NOTHING = BetweenPoints(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class BetweenFinder:
-    """fitter : asks the tiles · outline : where the triangles inside are at rest, None for all"""
+    """fitter : asks the tiles · outline : where the triangles inside are at rest, None for all ·
+    rasters : that tell spacings, None for too few points
+    """
 
     fitter: GroundFitter
     outline: Path | None
+    rasters: Rasters | None
 
     def _ask(self, op: Callable[..., R], *more: object) -> list[R]:
         of = self.fitter.of
@@ -57,7 +60,7 @@ class BetweenFinder:
 
     def found(self) -> BetweenPoints:
         """Steps and curvature between the points; 0 where these are too few to tell."""
-        rasters, count = self._rasters()
+        rasters = self.rasters
         if rasters is None:
             return NOTHING
         told = merged(self._ask(tile_spacing.tell_spacings, rasters))
@@ -67,7 +70,7 @@ class BetweenFinder:
             return NOTHING
         area, every = facts[1], squares_every(int(facts[0]))
         seen = Seen(self.outline, whole)
-        side = SQUARE * median_of(told, count)
+        side = SQUARE * median_of(told, rasters.count)
         if every >= 2 and math.isfinite(side):
             low, _ = raster_between((rasters.low, rasters.high), side)
             seen = Seen(self.outline, Squares(rasters.axes, low, side, every))
@@ -82,38 +85,6 @@ class BetweenFinder:
                 return NOTHING
             found.append(coarser)
         return from_coarser(found, finest, float(facts[1] / area), 0.0)
-
-    def _rasters(self) -> tuple[Rasters | None, int]:
-        """The rasters of all vertices, filled, and how many these are; None for few."""
-        facts = np.stack(self._ask(tile_spacing.extent, None))
-        n = int(facts[:, 0].sum())
-        if n < FEWEST:
-            return None, n
-        low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
-        middle = rounded_middle(facts[:, 1:3].sum(axis=0) / n, (low, high))
-        axes = axes_of(middle, self._merged(tile_spacing.moments, added, middle))
-        facts = np.stack(self._ask(tile_spacing.extent, axes))
-        low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
-        every = VertexSelection((0.0, 0.0), (0.0,), math.inf)
-        some = self.fitter.at_ranks(every, n, max(1, n // SAMPLED))[:, 1:3]
-        sizes = tuple(cell_sizes(axes.along(some), n, (low, high)))
-        of = self.fitter.of
-        name = digest([axes.middle.tolist(), axes.angle, sizes, str(self.outline)])
-        folder = surface_folder(of.index, of.limits) / f"between_{name}"
-        rasters = Rasters(axes, low, high, sizes, folder)
-        self._fill(rasters)
-        return rasters, n
-
-    def _fill(self, rasters: Rasters) -> None:
-        """Write which cells are filled."""
-        cells = self._ask(tile_spacing.filled_cells, rasters)
-        rasters.folder.mkdir(parents=True, exist_ok=True)
-        for k in range(len(rasters.sizes)):
-            raster = np.zeros(rasters.shape(k), np.bool_)
-            for some in cells:
-                raster.reshape(-1)[some[k]] = True
-            with atomic_file(rasters.filled(k)) as part, part.open("wb") as file:
-                np.save(file, beside_full_blocks(raster).reshape(-1), allow_pickle=False)
 
     def _facts(self, seen: Seen) -> F64:
         """Number, area and extent (6,) of the triangles looked at."""
@@ -175,6 +146,41 @@ class BetweenFinder:
         boxes = {t: f[1] for t, f in zip(of.tiles, found, strict=True) if f[1] is not None}
         hull, folder = joined_hull([f[2] for f in found]), tile_spacing.kept_folder(rasters, shift)
         return KeptPoints(of.index.cloud, boxes, hull, folder)
+
+
+def filled_rasters(fitter: GroundFitter, outline: Path | None) -> Rasters | None:
+    """The rasters of all vertices, filled; None where these are too few."""
+    of, workers = fitter.of, fitter.workers
+    same: list[tuple[object, ...]] = [(None,)] * len(of.tiles)
+    facts = np.stack(ask(workers, of, tile_spacing.extent, same))
+    n = int(facts[:, 0].sum())
+    if n < FEWEST:
+        return None
+    low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
+    middle = rounded_middle(facts[:, 1:3].sum(axis=0) / n, (low, high))
+    moments = ask_merged(workers, of, tile_spacing.moments, [(middle,)] * len(of.tiles))
+    axes = axes_of(middle, moments)
+    facts = np.stack(ask(workers, of, tile_spacing.extent, [(axes,)] * len(of.tiles)))
+    low, high = facts[:, 3:5].min(axis=0), facts[:, 5:].max(axis=0)
+    every = VertexSelection((0.0, 0.0), (0.0,), math.inf)
+    some = fitter.at_ranks(every, n, max(1, n // SAMPLED))[:, 1:3]
+    sizes = tuple(cell_sizes(axes.along(some), n, (low, high)))
+    name = digest([axes.middle.tolist(), axes.angle, sizes, str(outline)])
+    folder = surface_folder(of.index, of.limits) / f"between_{name}"
+    rasters = Rasters(axes, low, high, sizes, folder, n)
+    fill(rasters, ask(workers, of, tile_spacing.filled_cells, [(rasters,)] * len(of.tiles)))
+    return rasters
+
+
+def fill(rasters: Rasters, cells: Sequence[Sequence[I64]]) -> None:
+    """Write which cells are filled, from those of each tile by raster."""
+    rasters.folder.mkdir(parents=True, exist_ok=True)
+    for k in range(len(rasters.sizes)):
+        raster = np.zeros(rasters.shape(k), np.bool_)
+        for some in cells:
+            raster.reshape(-1)[some[k]] = True
+        with atomic_file(rasters.filled(k)) as part, part.open("wb") as file:
+            np.save(file, beside_full_blocks(raster).reshape(-1), allow_pickle=False)
 
 
 def merged(told: Sequence[F64]) -> F64:

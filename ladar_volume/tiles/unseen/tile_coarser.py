@@ -29,6 +29,7 @@ from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import OwnAxes, extent_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_fit import bins_of
 from ladar_volume.tiles.tile_outline import Box, read, write
 from ladar_volume.tiles.tile_patch import (
     SurfacePart,
@@ -39,16 +40,13 @@ from ladar_volume.tiles.tile_patch import (
     tiles_in,
     write_shares,
 )
-from ladar_volume.tiles.tile_spacing import KeptPoints
 from ladar_volume.tiles.tile_stars import tile_stars
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
+from ladar_volume.tiles.unseen.tile_spacing import KeptPoints
 from ladar_volume.tin.full_tin import first_corners, footprint_areas, places_in
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters
-
-#: Digits of a width that its bin leaves out, of 52 binary ones.
-COARSE_BITS = 40
 
 
 @dataclass(frozen=True)
@@ -94,11 +92,6 @@ def in_bins(width: F64, area: F64) -> Widths:
     """Triangles of widths (m,) m and areas (m,) m² by bins."""
     bins, at = np.unique(bins_of(width), return_inverse=True)
     return Widths(bins, np.asarray(np.bincount(at.reshape(-1), area, len(bins)), np.float64))
-
-
-def bins_of(width: F64) -> I64:
-    """The bin (m,) of each width (m,) m."""
-    return np.ascontiguousarray(width).view(np.int64) >> COARSE_BITS
 
 
 def together(widths: Sequence[Widths]) -> Widths:

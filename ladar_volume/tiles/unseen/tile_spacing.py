@@ -28,7 +28,7 @@ from ladar_volume.tin.sampled_area import lasting_sizes
 class Rasters:
     """axes : along which the rasters lie · low, high : (2,) least and greatest coordinates of all
     points along them, m · sizes : of their cells, m · folder : where it is at rest which of their
-    cells are filled
+    cells are filled · count : of all points
     """
 
     axes: OwnAxes
@@ -36,6 +36,7 @@ class Rasters:
     high: F64
     sizes: tuple[float, ...]
     folder: Path
+    count: int
 
     def filled(self, k: int) -> Path:
         """Where the filled cells of a size are."""

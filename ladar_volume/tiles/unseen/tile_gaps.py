@@ -1,0 +1,166 @@
+"""The gaps of one tile: :mod:`ladar_volume.volume.field_checks.gaps` by tiles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.math.own_axes import extent_of
+from ladar_volume.model.records import F64, I64, Bool, Gap, Plane
+from ladar_volume.tiles.tile_batches import TiledCloud
+from ladar_volume.tiles.tile_fit import bins_of
+from ladar_volume.tiles.tile_outline import Box, TileParts, parts_of, read, write
+from ladar_volume.tiles.tile_patch import in_box, inside_of, tiles_in
+from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_surface import TileSurface, surface_of, used_of
+from ladar_volume.tiles.unseen.tile_spacing import Rasters
+from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.relevant import edge_lengths
+from ladar_volume.volume.field_checks.gap_kriging import REACH, SPACINGS, ObservedPoints, diameter
+from ladar_volume.volume.field_checks.gaps import GAP, corners_above, gap_over, spanning
+from ladar_volume.volume.field_checks.unseen_surface import APART, AWAY, FILLED, UnseenVolume
+
+#: Points around one gap, at most: of a wider one nothing is told.
+MOST_AROUND = 2_000_000
+
+
+@dataclass(frozen=True)
+class Spanned:
+    """outline : where the triangles inside are at rest, None for all · usual_m : length of a
+    triangle's longest edge · rasters : that tell spacings, None for too few points · folder : where
+    the numbers of the parts are to be at rest
+    """
+
+    outline: Path | None
+    usual_m: float
+    rasters: Rasters | None
+    folder: Path
+
+
+class WideParts(NamedTuple):
+    """Parts of triangles too wide for the spacing. parts : with their areas, m² · triangles : (p,)
+    how many each has · square : (p,) m², sums of the squares of what is usual there
+    """
+
+    parts: TileParts
+    triangles: I64
+    square: F64
+
+
+def longest_edges(of: TiledCloud, tile: Tile, outline: Path | None) -> F64:
+    """The longest edges (m,) m of the triangles that count in a tile within the outline."""
+    surface = surface_of(of.index, of.limits, tile)
+    inside = inside_of(surface, tile, outline) & surface.counted
+    out: F64 = edge_lengths(surface.tin, inside).max(axis=1)
+    return out
+
+
+def longest_bins(of: TiledCloud, tile: Tile, outline: Path | None) -> tuple[I64, I64]:
+    """Bins of these, ascending, and how many are in each."""
+    bins, count = np.unique(bins_of(longest_edges(of, tile, outline)), return_counts=True)
+    return bins, count.astype(np.int64)
+
+
+def longest_in(of: TiledCloud, tile: Tile, outline: Path | None, low: int, high: int) -> F64:
+    """Those in bins from ``low`` to ``high``."""
+    longest = longest_edges(of, tile, outline)
+    bins = bins_of(longest)
+    return longest[(bins >= low) & (bins <= high)]
+
+
+def wide_parts(of: TiledCloud, tile: Tile, asked: Spanned) -> WideParts:
+    """The parts of a tile's triangles that are too wide, their numbers at rest."""
+    surface = surface_of(of.index, of.limits, tile)
+    wide, here = wide_triangles(surface, inside_of(surface, tile, asked.outline), asked)
+    label = np.asarray(parts_kernel(surface.tin.neighbours, wide), np.int64)
+    own, n = np.flatnonzero(wide & surface.counted), label.max(initial=-1) + 1
+    area = footprint_areas(surface.tin.vertices, surface.tin.triangles[own])
+    total, square = (
+        np.bincount(label[own], w, n).astype(np.float64) for w in (area, here[own] ** 2)
+    )
+    if n:
+        write(asked.folder, "wide", tile, label)
+    count = np.bincount(label[own], minlength=n).astype(np.int64)
+    return WideParts(parts_of(surface, label, total), count, square)
+
+
+def wide_triangles(surface: TileSurface, inside: Bool, asked: Spanned) -> tuple[Bool, F64]:
+    """Triangles (m,) of a tile inside the outline that are too wide, and what is usual (m,) m."""
+    tin, usual = surface.tin, asked.usual_m
+    rows = np.flatnonzero(inside)
+    longest = edge_lengths(tin, inside).max(axis=1)
+    could = longest > GAP * usual
+    rows, longest = rows[could], longest[could]
+    near = None
+    if asked.rasters is not None and len(rows):
+        used, place = np.unique(tin.triangles[rows], return_inverse=True)
+        xy = np.ascontiguousarray(tin.vertices[used, :2])
+        near = asked.rasters.spacings(asked.rasters.axes.along(xy))[place.reshape(-1, 3)]
+    over, here = spanning(longest, usual, near)
+    wide, at = np.zeros(len(inside), np.bool_), np.zeros(len(inside))
+    wide[rows[over]], at[rows[over]] = True, here[over]
+    return wide, at
+
+
+def gap_corners(of: TiledCloud, tile: Tile, folder: Path, gap: I64, base: Plane) -> tuple[I64, F64]:
+    """Gaps (t,) of the triangles of a tile that span some, and their corners (t, 3, 3) m, heights
+    above the base. gap : (p,) the gap of each part of the tile, -1 for those not asked for
+    """
+    if not (gap >= 0).any():
+        return np.zeros(0, np.int64), np.zeros((0, 3, 3))
+    surface = surface_of(of.index, of.limits, tile)
+    number = np.append(gap, -1)[read(folder, "wide", tile)]
+    rows = np.flatnonzero((number >= 0) & surface.counted)
+    return number[rows], corners_above(surface.tin, base, rows)
+
+
+@dataclass(frozen=True)
+class GapTask:
+    """corners : (t, 3, 3) m of the triangles that span a gap, heights above the base · sigma_m : of
+    the heights · usual_m : length of a triangle's longest edge
+    """
+
+    corners: F64
+    base: Plane
+    sigma_m: float
+    usual_m: float
+
+    @property
+    def box(self) -> Box:
+        """All points that its surface may be told from lie in it."""
+        xy = np.ascontiguousarray(self.corners[:, :, :2].reshape(-1, 2))
+        (x0, y0), (x1, y1) = extent_of(xy)
+        u, v = (self.corners[:, k, :2] - self.corners[:, 0, :2] for k in (1, 2))
+        size = diameter(0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()))
+        edges = np.roll(self.corners, 1, axis=1)[:, :, :2] - self.corners[:, :, :2]
+        longest = float(np.linalg.norm(edges, axis=2).max())
+        d = AWAY * size + max(REACH * size, SPACINGS * self.usual_m) + APART * longest
+        d = 1.01 * (d + FILLED * self.usual_m)
+        return x0 - d, y0 - d, x1 + d, y1 + d
+
+
+def gap_surface(
+    of: TiledCloud, task: tuple[int, GapTask]
+) -> tuple[int, tuple[Gap, UnseenVolume | None]]:
+    """The number of a gap, the gap, and its surface from the points around it; None where there are
+    too many of these.
+    """
+    number, at = task
+    tiles = tiles_in(of.index, at.box)
+    share = np.ones(len(at.corners))
+    if sum(of.index.count[t] for t in tiles) > MOST_AROUND:
+        return number, gap_over(at.corners, share, None)
+    around = []
+    for tile in tiles:
+        xyz, _, _ = used_of(of.index, of.limits, tile)
+        around.append(xyz[in_box(xyz, at.box)])
+    r = np.concatenate(around)
+    r[:, 2] -= base_height(at.base, r[:, :2])
+    # the mean of several points has less, as in one process: too much by next to nothing
+    variance = np.full(len(r), at.sigma_m**2)
+    return number, gap_over(at.corners, share, ObservedPoints.of(r, variance, at.usual_m))

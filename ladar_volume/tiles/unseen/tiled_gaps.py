@@ -1,0 +1,92 @@
+"""What was not seen inside the outline of all tiles, to what
+:mod:`ladar_volume.volume.field_checks.gaps` gives for surfaces of which all triangles count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.tiles.tile_batches import ask
+from ladar_volume.tiles.tile_store import digest
+from ladar_volume.tiles.tile_surface import surface_folder
+from ladar_volume.tiles.tile_work import results
+from ladar_volume.tiles.tiled_ground import GroundFitter
+from ladar_volume.tiles.tiled_outline import part_labels
+from ladar_volume.tiles.tiled_ranks import median_of_bins
+from ladar_volume.tiles.unseen import tile_gaps
+from ladar_volume.tiles.unseen.tile_gaps import GapTask, Spanned, WideParts
+from ladar_volume.tiles.unseen.tile_spacing import Rasters
+from ladar_volume.volume.field_checks.gaps import (
+    MOST,
+    BridgedVolume,
+    bridged_together,
+    gaps_among,
+)
+
+
+@dataclass(frozen=True)
+class GapFinder:
+    """fitter : asks the tiles · outline : where the triangles inside are at rest, None for all ·
+    base : that heights count from · rasters : that tell spacings, None for too few points
+    """
+
+    fitter: GroundFitter
+    outline: Path | None
+    base: Plane
+    rasters: Rasters | None
+
+    def found(self) -> tuple[BridgedVolume, float] | None:
+        """What the gaps do to the volume, and their area, m²; None where there are none."""
+        of, workers = self.fitter.of, self.fitter.workers
+        same: list[tuple[object, ...]] = [(self.outline,)] * len(of.tiles)
+
+        def in_bins(low: int, high: int) -> list[F64]:
+            return ask(workers, of, tile_gaps.longest_in, [(*s, low, high) for s in same])
+
+        usual = median_of_bins(ask(workers, of, tile_gaps.longest_bins, same), in_bins)
+        folder = surface_folder(of.index, of.limits) / f"gaps_{digest([str(self.outline)])}"
+        asked = Spanned(self.outline, usual, self.rasters, folder)
+        wide = ask(workers, of, tile_gaps.wide_parts, [(asked,)] * len(of.tiles))
+        rank, areas = gaps_of_parts(wide)
+        if not len(areas):
+            return None
+        tasks = [
+            GapTask(corners, self.base, self.fitter.sigma_m, usual)
+            for corners in self._corners(folder, wide, np.where(rank < MOST, rank, -1))
+        ]
+        task = partial(tile_gaps.gap_surface, of)
+        made = dict(results(workers, task, list(enumerate(tasks)), lambda _: None))
+        return bridged_together([made[k] for k in range(len(tasks))], areas), float(areas.sum())
+
+    def _corners(self, folder: Path, wide: Sequence[WideParts], gap: I64) -> list[F64]:
+        """The corners (t, 3, 3) of the triangles over each gap, from the gap (p,) of each part."""
+        each = np.split(gap, np.cumsum([w.parts.count for w in wide])[:-1])
+        more = [(folder, own, self.base) for own in each]
+        found = ask(self.fitter.workers, self.fitter.of, tile_gaps.gap_corners, more)
+        number, corners = (np.concatenate([f[k] for f in found]) for k in range(2))
+        return [corners[number == k] for k in range(int(number.max()) + 1)]
+
+
+def gaps_of_parts(wide: Sequence[WideParts]) -> tuple[I64, F64]:
+    """The gap of each part of all tiles, one tile after the other, the largest first, -1 for none;
+    and the areas, m², of all gaps.
+    """
+    label = part_labels([w.parts for w in wide])
+    if not len(label):
+        return label, np.zeros(0)
+    area, square = (
+        np.bincount(label, np.concatenate(values)).astype(np.float64)
+        for values in ([w.parts.total for w in wide], [w.square for w in wide])
+    )
+    triangles = np.zeros(len(area), np.int64)
+    np.add.at(triangles, label, np.concatenate([w.triangles for w in wide]))
+    order = gaps_among(area, triangles, square)
+    rank = np.full(len(area), -1, np.int64)
+    rank[order] = np.arange(len(order))
+    return rank[label], area[order]
