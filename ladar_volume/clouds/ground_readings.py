@@ -86,9 +86,17 @@ def unevenness(points: F64, base: Plane, variance: F64, length_m: float, reach_m
         return math.nan
     cell = np.floor((points[near, :2] - points[near, :2].min(axis=0)) / length_m).astype(np.int64)
     _, number = distinct_cells(cell)
-    count = np.bincount(number)
-    mean = np.bincount(number, off[near]) / count
-    noise = np.bincount(number, variance[near]) / count**2
+    sums, noise = (
+        np.bincount(number, values[near]).astype(np.float64) for values in (off, variance)
+    )
+    return uneven_stretches(np.bincount(number), sums, noise)
+
+
+def uneven_stretches(count: I64, off: F64, variance: F64) -> float:
+    """The same from how many points each stretch has (k,), and the sums of their distances (k,) m
+    and variances (k,) m².
+    """
+    mean, noise = off / count, variance / count**2
     full = count >= FEWEST_POINTS
     if np.count_nonzero(full) < FEWEST_STRETCHES:
         return math.nan

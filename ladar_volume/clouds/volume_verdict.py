@@ -174,7 +174,11 @@ def surface_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
 
 def outline_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
     """A body that runs out of the survey is not whole, and has no ground on that side."""
-    share = open_share(surface, inside > 0)
+    return open_doubts(open_share(surface, inside > 0))
+
+
+def open_doubts(share: float) -> list[Doubt]:
+    """The same from the share of the outline on the edge of what was sampled."""
     if share <= OPEN:
         return []
     words = (
@@ -449,6 +453,11 @@ def with_growth(
         return volume, []
     high = body_vertices(surface, ground, inside > 0, v.object_height_m)
     growth = growth_above_ground(surface, ground, high, body_scatter(surface, high))
+    return with_growth_of(volume, growth)
+
+
+def with_growth_of(volume: CloudVolume, growth: float) -> tuple[CloudVolume, list[Doubt]]:
+    """The same from how high it grows, m."""
     if not growth > 0.0:
         return volume, []
     sigma = GROWTH * growth * volume.area_m2

@@ -171,6 +171,18 @@ def fill(of: TiledCloud, tile: Tile, folder: Path, holes: Bool) -> tuple[Box | N
     return write_vertices(folder, "outline", tile, surface.tin, some), name
 
 
+def volume_between(of: TiledCloud, tile: Tile, base: Plane, one: Path, two: Path) -> float:
+    """Net volume of a tile above a base, m³, within the second of two outlines less that within the
+    first.
+    """
+    surface = surface_of(of.index, of.limits, tile)
+    first, second = (read(folder, "inside", tile) for folder in (one, two))
+    corners = surface.tin.triangles[surface.counted & (first != second)]
+    height = height_above(surface.tin.vertices, base)[corners].mean(axis=1)
+    sign = np.where(second[surface.counted & (first != second)], 1.0, -1.0)
+    return float((sign * footprint_areas(surface.tin.vertices, corners)) @ height)
+
+
 def ring_vertices(
     of: TiledCloud, tile: Tile, folder: Path, neighbours: Sequence[Tile], ring_m: float
 ) -> int:

@@ -4,11 +4,12 @@ one process gives.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -22,7 +23,7 @@ from ladar_volume.tiles.tile_outline import Box, TileParts
 from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
-from ladar_volume.volume.base import MAX_ROUNDS
+from ladar_volume.volume.base import LAST, MAX_ROUNDS
 
 R = TypeVar("R")
 
@@ -30,11 +31,25 @@ R = TypeVar("R")
 @dataclass(frozen=True)
 class TiledOutline:
     """fit : the ground · folder : where the triangles inside are at rest, None where all that count
-    are
+    are · parts : of each tile, that rise above the ground · boxes : of what is inside in each tile,
+    None for nothing
     """
 
     fit: TiledFit
     folder: Path | None
+    parts: Sequence[TileParts] = ()
+    boxes: Sequence[Box | None] = ()
+
+
+class Inside(NamedTuple):
+    """folder : of an outline · name : a digest of which triangles are inside · parts, boxes : as in
+    :class:`TiledOutline`
+    """
+
+    folder: Path
+    name: str
+    parts: Sequence[TileParts]
+    boxes: Sequence[Box | None]
 
 
 @dataclass(frozen=True)
@@ -51,16 +66,28 @@ class OutlineFinder:
         fit = self.fitter.start(ground, p.object_height_m / 2)
         if p.outline == "all":
             return TiledOutline(fit, None)
-        folder, name, boxes = self._inside(fit)
-        seen = [name]
+        found = self._inside(fit)
+        seen = [found]
         for _ in range(MAX_ROUNDS):
-            self._ring(folder, boxes)
-            fit = self._around(fit, folder)
-            folder, name, boxes = self._inside(fit)
-            if name in seen:
-                break  # settled, or a triangle or two come and go
-            seen.append(name)
-        return TiledOutline(fit, folder)
+            self._ring(found.folder, found.boxes)
+            fit = self._around(fit, found.folder)
+            found = self._inside(fit)
+            again = [k for k, earlier in enumerate(seen) if earlier.name == found.name]
+            if again:
+                seen = seen[again[0] + 1 :]
+                break
+            seen.append(found)
+        self._ring(found.folder, found.boxes)
+        others = [one.folder for one in seen[-LAST:] if one.name != found.name]
+        moved = [self._between(fit.plane, one, found.folder) for one in others]
+        plane = dataclasses.replace(fit.plane, unsettled_m3=max(moved, default=0.0))
+        fit = dataclasses.replace(fit, plane=plane)
+        return TiledOutline(fit, found.folder, found.parts, found.boxes)
+
+    def _between(self, base: Plane, one: Path, two: Path) -> float:
+        """Net volume above a base, m³, by which two outlines differ."""
+        n = len(self.fitter.of.tiles)
+        return abs(sum(self._ask(tile_outline.volume_between, [(base, one, two)] * n)))
 
     def _around(self, fit: TiledFit, folder: Path) -> TiledFit:
         """The ground around an outline."""
@@ -80,10 +107,8 @@ class OutlineFinder:
     def _ask(self, op: Callable[..., R], more: Sequence[tuple[object, ...]]) -> list[R]:
         return ask(self.fitter.workers, self.fitter.of, op, more)
 
-    def _inside(self, fit: TiledFit) -> tuple[Path, str, list[Box | None]]:
-        """The outline above a ground: its folder, a digest of which triangles are inside, and the
-        box of those of each tile.
-        """
+    def _inside(self, fit: TiledFit) -> Inside:
+        """The outline above a ground."""
         p, tiles = self.parameters.volume, self.fitter.of.tiles
         asked = [p.object_height_m, p.bodies, p.min_body_m3, p.outline_margin_m, p.ground_ring_m]
         plane: Plane = fit.plane
@@ -93,14 +118,14 @@ class OutlineFinder:
         rising = self._ask(tile_outline.rising_parts, [(folder, plane, p.object_height_m)] * n)
         chosen = self._bodies(rising)
         boxes = self._ask(tile_outline.body, [(folder, c) for c in chosen])
-        beside = self._beside(boxes, p.outline_margin_m)
+        beside = self.beside(boxes, p.outline_margin_m)
         grown = [
             (folder, c, some, p.outline_margin_m) for c, some in zip(chosen, beside, strict=True)
         ]
         rest = self._ask(tile_outline.grow, grown)
         found = self._ask(tile_outline.fill, [(folder, holes) for holes in enclosed_parts(rest)])
         name = hashlib.sha256(b"".join(name for _, name in found)).hexdigest()
-        return folder, name, [box for box, _ in found]
+        return Inside(folder, name, rising, [box for box, _ in found])
 
     def _bodies(self, rising: Sequence[TileParts]) -> list[Bool]:
         """Which parts (count,) of each tile belong to the bodies."""
@@ -118,7 +143,7 @@ class OutlineFinder:
         chosen = np.isin(label, kept[: p.bodies] if p.bodies else kept)
         return np.split(chosen, np.cumsum([each.count for each in rising])[:-1])
 
-    def _beside(self, boxes: Sequence[Box | None], distance_m: float) -> list[list[Tile]]:
+    def beside(self, boxes: Sequence[Box | None], distance_m: float) -> list[list[Tile]]:
         """For each tile those with something in a box that its triangles may reach."""
         tiles = self.fitter.of.tiles
         some = [(tile, box) for tile, box in zip(tiles, boxes, strict=True) if box is not None]
@@ -135,7 +160,7 @@ class OutlineFinder:
     def _ring(self, folder: Path, boxes: Sequence[Box | None]) -> None:
         """The vertices around an outline, at rest."""
         ring_m = self.parameters.volume.ground_ring_m
-        beside = self._beside(boxes, ring_m)
+        beside = self.beside(boxes, ring_m)
         self._ask(tile_outline.ring_vertices, [(folder, some, ring_m) for some in beside])
 
 

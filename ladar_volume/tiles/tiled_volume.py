@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles import tile_outline, tile_volume
+from ladar_volume.tiles.readings.tiled_readings import Around
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers, run_batch
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
@@ -217,24 +218,30 @@ def volume_by_tiles(
     sigma = noise_of(tiles) if task.sigma_m is None else task.sigma_m
     if task.named is not None:
         parameters = site_lengths(parameters, size_of_tiles(tiles, sigma), task.named)
-    fitter, v, fit, folder = GroundFitter(of, workers, sigma), parameters.volume, None, None
+    fitter, v, around, folder = GroundFitter(of, workers, sigma), parameters.volume, None, None
     if v.base == "ground":
-        if math.isnan(sigma):
-            words = "no tile has points enough to estimate their noise: give --sigma, or larger "
-            raise SurfaceError(words + "tiles", reason="surface_too_few_points")
-        outline = OutlineFinder(fitter, parameters, [known[t].reach for t in of.tiles]).found()
-        fit, folder = outline.fit, outline.folder
-        base = fit.plane
+        around = around_ground(fitter, parameters, [known[t].reach for t in of.tiles])
+        base, folder = around.found.fit.plane, around.found.folder
     else:
         base = design_surface([v.level_m] if v.base == "level" else list(v.plane))
     near = near_folder(of, base, folder, sigma) if task.correct else None
     asked = Above(base, folder, sigma, near)
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
+    fit = None if around is None else around.found.fit
     volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
     if not (task.between and task.limits.relevant == "all" and math.isfinite(volume.sigma_m3)):
         return TiledVolume(volume, None, base, of.index, sums, sigma, parameters)
-    volume, between, doubts = judged(volume, fitter, folder, base, v)
+    volume, between, doubts = judged(volume, fitter, folder, base, v, around)
     return TiledVolume(volume, between, base, of.index, sums, sigma, parameters, tuple(doubts))
+
+
+def around_ground(fitter: GroundFitter, parameters: Parameters, reach: Sequence[Box]) -> Around:
+    """Ground and outline of the cloud, and who asks about them; ``reach`` of each tile."""
+    if math.isnan(fitter.sigma_m):
+        words = "no tile has points enough to estimate their noise: give --sigma, or larger tiles"
+        raise SurfaceError(words, reason="surface_too_few_points")
+    finder = OutlineFinder(fitter, parameters, reach)
+    return Around(fitter, finder, finder.found())
 
 
 def near_folder(of: TiledCloud, base: Plane, outline: Path | None, sigma_m: float) -> Path:

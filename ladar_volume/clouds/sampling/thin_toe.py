@@ -11,6 +11,7 @@ over ground that is level, or rises outwards.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -39,19 +40,41 @@ def volume_beyond(tin: Tin, mask: Bool, height: F64) -> float:
     ends, length, is_open = border(tin, mask)
     ends, length = ends[~is_open], length[~is_open]
     area = float(footprint_areas(tin.vertices, tin.triangles[mask]).sum())
-    if not len(ends) or not area > 0.0:
-        return 0.0
-    band = BAND * math.sqrt(area / math.pi)
     body = np.flatnonzero(vertex_mask(tin, mask))
-    body = body[:: max(1, len(body) // ENOUGH)]
+    body = body[:: step_of(len(body))]
     a, b = (tin.vertices[ends[:, k], :2] for k in range(2))
+    line = Outline(a, b, float(length.sum()), area)
+    return beyond_profile(line, tin.vertices[body, :2], height[body])
+
+
+class Outline(NamedTuple):
+    """Where the surface goes on beyond a body: a, b (s, 2) m, ends of the sides · length_m : of all
+    of them · area_m2 : of the body
+    """
+
+    a: F64
+    b: F64
+    length_m: float
+    area_m2: float
+
+
+def step_of(count: int) -> int:
+    """Every how many of so many vertices the profile is told from."""
+    return max(1, count // ENOUGH)
+
+
+def beyond_profile(outline: Outline, xy: F64, height: F64) -> float:
+    """The same from some vertices of the body: xy (n, 2) m, height (n,) m above the base."""
+    if not len(outline.a) or not outline.area_m2 > 0.0:
+        return 0.0
+    band = BAND * math.sqrt(outline.area_m2 / math.pi)
     part = np.linspace(0.0, 1.0, PARTS)[:, None, None]
-    line = ((1.0 - part) * a + part * b).reshape(-1, 2)
-    d = nearest_in_plane(line, tin.vertices[body, :2], 1)[1][:, 0]
+    line = ((1.0 - part) * outline.a + part * outline.b).reshape(-1, 2)
+    d = nearest_in_plane(line, xy, 1)[1][:, 0]
     near = d < band
     if np.count_nonzero(near) < FEWEST:
         return 0.0
-    x, h = d[near] / band, height[body[near]]
+    x, h = d[near] / band, height[near]
     X = np.stack([np.ones_like(x), x, x * x], axis=1)
     fit, _, rank, _ = np.linalg.lstsq(X, h, rcond=1e-6)
     if rank < 3:  # two rows of a grid show no parabola
@@ -65,4 +88,4 @@ def volume_beyond(tin: Tin, mask: Bool, height: F64) -> float:
     steep = mean / edge
     # a fall of less than one band is none of a toe; a height of nothing is none either
     falls = brentq(lambda y: math.expm1(y) / y - steep, 1.0, 60.0) if E_1 < steep < MOST else 1.0
-    return float(length.sum()) * float(edge) * band / falls if steep < MOST else 0.0
+    return outline.length_m * float(edge) * band / falls if steep < MOST else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_noise import NEIGHBOURS, neighbours
 from ladar_volume.clouds.sampling.layers import FEWEST, MOST, Layers, layers_of
 from ladar_volume.clouds.sampling.rounding_step import lowest_hashes, rounding_steps
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_fit import VertexSelection
@@ -31,10 +31,20 @@ def found_layers(fitter: GroundFitter) -> Layers:
         return Layers(0.0, 0.0)
     every = VertexSelection((0.0, 0.0), (0.0,), math.inf)
     some = fitter.at_ranks(every, n, max(1, math.ceil(n / MOST)))[:, 1:4]
-    told = ask(workers, of, neighbours_of, [(some,)] * len(of.tiles))
-    near, places = (np.concatenate([t[k] for t in told]) for k in range(2))
-    order = np.lexsort(places.T)
-    return layers_of(near[order], places[order], lambda: height_step(fitter))
+    near, places, _ = near_places(fitter, some)
+    return layers_of(near, places, lambda: height_step(fitter))
+
+
+def near_places(fitter: GroundFitter, some: F64) -> tuple[F64, F64, I64]:
+    """The points (k, :data:`NEIGHBOURS`, 3) of all tiles nearest over the plane to vertices (k, 3)
+    m, these tile by tile, and their rows (k,) among those given.
+    """
+    of = fitter.of
+    cells = np.floor(some[:, :2] / of.index.cloud.tile_m).astype(np.int64)
+    own = [np.flatnonzero((cells == tile).all(axis=1)) for tile in of.tiles]
+    near = ask(fitter.workers, of, neighbours_of, [(some[rows],) for rows in own])
+    order = np.concatenate(own)
+    return np.concatenate(near), some[order], order
 
 
 def height_step(fitter: GroundFitter) -> float:
@@ -49,15 +59,13 @@ def hashed(of: TiledCloud, tile: Tile) -> F64:
     return lowest_hashes(of.index.places(tile)[:, :3])
 
 
-def neighbours_of(of: TiledCloud, tile: Tile, some: F64) -> tuple[F64, F64]:
-    """Those of places (m, 3) that lie in a tile, with the points (k, :data:`NEIGHBOURS`, 3) of all
-    tiles nearest to each over the plane.
+def neighbours_of(of: TiledCloud, tile: Tile, own: F64) -> F64:
+    """The points (k, :data:`NEIGHBOURS`, 3) of all tiles nearest over the plane to vertices (k, 3)
+    of a tile.
     """
-    side = of.index.cloud.tile_m
-    own = some[(np.floor(some[:, :2] / side) == tile).all(axis=1)]
     if not len(own):
-        return np.zeros((0, NEIGHBOURS, 3)), own
-    width = WIDTH * side / of.index.count[tile] ** 0.5
+        return np.zeros((0, NEIGHBOURS, 3))
+    width = WIDTH * of.index.cloud.tile_m / of.index.count[tile] ** 0.5
     low, high = own[:, :2].min(axis=0), own[:, :2].max(axis=0)
     while True:
         box = (*(low - width).tolist(), *(high + width).tolist())
@@ -70,7 +78,7 @@ def neighbours_of(of: TiledCloud, tile: Tile, some: F64) -> tuple[F64, F64]:
             near = neighbours(points, np.arange(len(points)), rows)
             far = np.hypot(*(near[..., :2] - own[:, None, :2]).transpose(2, 0, 1)).max()
             if far <= width or everything:
-                return near, own
+                return near
         width *= 2.0
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -58,6 +59,8 @@ NEAR_M = 0.5
 BELOW = 0.005
 #: Degrees of freedom from which on Student's t is the normal distribution.
 MANY = 200.0
+#: Names of readings.
+TOE_LINE, TERRACE = "the surface along the toe", "the terrace along the toe"
 
 
 @dataclass(frozen=True)
@@ -147,9 +150,10 @@ def fit_weights(xy: F64, moments: F64, origin: F64, scale: float, degree: int) -
     return out
 
 
-def field_sigma(tin: Tin, xy: F64, weight: F64, rough: Roughness, noise: F64) -> float:
+def field_sigma(xy: F64, weight: F64, rough: Roughness, noise: F64) -> float:
     """Standard deviation m³ of ``Σ w e`` over a ground field and its points' noise (n,) m²."""
-    field = GroundField(tin.vertices, tin.triangles[:0], np.zeros(0), xy, weight, rough)
+    none = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0)
+    field = GroundField(*none, xy, weight, rough)
     return math.sqrt(field.variance_m6 + float(weight**2 @ noise))
 
 
@@ -181,24 +185,45 @@ def base_readings(
     moments = area_moments(tin, inside_m2, origin, scale, higher)  # a lower degree's come first
     if higher > degree:
         w = fit_weights(xy, moments, origin, scale, higher)
-        chance = field_sigma(tin, xy, w, rough, noise)
+        chance = field_sigma(xy, w, rough, noise)
         found.append(Reading(f"a ground of degree {higher}", -float(w @ e), chance))
     own = moments[: COEFFICIENTS[min(degree, 1)]]
     toe = toe_points(tin, inside_m2 > 0.0, radius_m)
     spread = 1.4826 * float(np.median(np.abs(left)))
     terrace = terrace_points(tin, base, inside_m2, spread, radius_m)
     terrace = terrace[:: math.ceil(len(terrace) / MOST) or 1]
-    for name, rows, moved in (
-        ("the surface along the toe", toe, own),
-        ("the terrace along the toe", terrace, own[:1]),
-    ):
-        if len(rows) >= FEWEST:
-            r = tin.vertices[rows]
-            w = fit_weights(r[:, :2], moved, origin, scale, min(degree, 1, len(moved) - 1))
-            chance = field_sigma(tin, r[:, :2], w, rough, height_variance[rows])
-            found.append(Reading(name, -float(w @ height_above(r, base)), chance))
-    area = (rough.spacing_m**2) * n
-    return BaseReadings(tuple(found), max(area / (2.0 * math.pi * rough.length_m**2), 1.0))
+    through = Through(base, own, origin, scale, rough)
+    for name, rows in ((TOE_LINE, toe), (TERRACE, terrace)):
+        found += through.reading(name, tin.vertices[rows], height_variance[rows])
+    return BaseReadings(tuple(found), freedom_of(rough, n))
+
+
+class Through(NamedTuple):
+    """Readings through points along the toe. base : they are held against · moments : (p,)
+    integrals over the outline of the terms of a plane, or a level, about ``origin`` (2,) m, by
+    ``scale`` m · rough : field of the ground
+    """
+
+    base: Plane
+    moments: F64
+    origin: F64
+    scale: float
+    rough: Roughness
+
+    def reading(self, name: str, r: F64, variance: F64) -> list[Reading]:
+        """That through points r (k, 3) m of variances (k,) m²; none through few."""
+        if len(r) < FEWEST:
+            return []
+        moved = self.moments if name == TOE_LINE else self.moments[:1]
+        degree = min(degree_of(self.base), 1, len(moved) - 1)
+        w = fit_weights(r[:, :2], moved, self.origin, self.scale, degree)
+        chance = field_sigma(r[:, :2], w, self.rough, variance)
+        return [Reading(name, -float(w @ height_above(r, self.base)), chance)]
+
+
+def freedom_of(rough: Roughness, n: int) -> float:
+    """How many independent places n points of the ground are."""
+    return max(rough.spacing_m**2 * n / (2.0 * math.pi * rough.length_m**2), 1.0)
 
 
 def base_reading_doubts(

@@ -49,7 +49,12 @@ def ground_doubts(tin: Tin, base: Plane, inside: Bool) -> list[Doubt]:
         return []
     centre = tin.vertices[vertex_mask(tin, inside), :2].mean(axis=0)
     at = directions(tin.vertices[base.support, :2], centre)
-    run, middle = longest_run(np.bincount(at, minlength=DIRECTIONS) < FEW)
+    return one_sided_doubts(np.bincount(at, minlength=DIRECTIONS))
+
+
+def one_sided_doubts(count: I64) -> list[Doubt]:
+    """The same from how many points of the ground lie in each direction (DIRECTIONS,)."""
+    run, middle = longest_run(count < FEW)
     wide = 360.0 * run / DIRECTIONS
     if wide < WIDEST_DEG:
         return []
@@ -111,12 +116,17 @@ def body_doubts(
         own = float(area[rows] @ height[tin.triangles[rows]].mean(axis=1))
         if len(rows) and own >= max(p.min_body_m3, sigma_m3):
             found.append((own, *tin.vertices[tin.triangles[rows], :2].mean(axis=(0, 1)).tolist()))
+    return further_doubts(found, p.object_height_m)
+
+
+def further_doubts(found: list[tuple[float, float, float]], rise_m: float) -> list[Doubt]:
+    """The same from their volumes, m³, and middles, m."""
     if not found:
         return []
     size, x, y = max(found)
     words = (
         f"{len(found)} further {'body rises' if len(found) == 1 else 'bodies rise'} more than "
-        f"{p.object_height_m:g} m above the base and {'is' if len(found) == 1 else 'are'} not in "
+        f"{rise_m:g} m above the base and {'is' if len(found) == 1 else 'are'} not in "
         f"the volume, the largest of {size:.4g} m³ at ({x:.1f}, {y:.1f}) m; set volume.bodies "
         "to 0 for all, or draw volume.polygon_m"
     )

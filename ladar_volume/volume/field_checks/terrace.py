@@ -61,14 +61,26 @@ def terrace_height(height: F64, area: F64, half: float) -> float:
     """The height about which, within half, m, the most area (k,) m² of heights (k,) m lies, of
     those with far less somewhere below and somewhere not far above; 0 where there is none.
     """
+    at, low, high, bins = height_bins(half)
+    return height_among(at, np.histogram(height, bins, (low, high), weights=area)[0])
+
+
+def height_bins(half: float) -> tuple[F64, float, float, int]:
+    """Heights (k,) m about which a terrace is sought, and from where to where areas are summed by
+    height, m, in how many bins.
+    """
     step = 0.5 * half
     at = np.arange(max(HEIGHTS[0], 2.5 * half), HEIGHTS[1], step)
+    low = float(at[0] - 6.0 * step) if len(at) else 0.0
+    bins = len(at) + 7 + 4 * REACH
+    return at, low, low + bins * step, bins
+
+
+def height_among(at: F64, by_bin: F64) -> float:
+    """The height of :func:`terrace_height` from the areas (bins,) m² by height."""
     if not len(at):
         return 0.0
     n, reach = len(at), 4 * REACH
-    low = at[0] - 6.0 * step
-    bins = n + 7 + reach
-    by_bin = np.histogram(height, bins, (low, low + bins * step), weights=area)[0]
     four = np.convolve(by_bin, np.ones(4), "valid")  # from each bin on: as high as 2 half
     own, below = four[4 : n + 4], np.minimum.accumulate(four)[:n]
     above = np.lib.stride_tricks.sliding_window_view(four[8:], reach - 3)[:n].min(axis=1)

@@ -1,0 +1,120 @@
+"""What speaks against a body above the ground of all tiles: its toe, the edge of the survey, what
+stands beside it, the sides on which there is no ground, and what grows on that.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, robust_sigma
+from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.ground_cover import MOST, growth_by_sectors
+from ladar_volume.clouds.sampling.thin_toe import ENOUGH, Outline, beyond_profile
+from ladar_volume.clouds.volume_verdict import open_doubts, with_growth_of, with_lines
+from ladar_volume.ground.heights import height_above
+from ladar_volume.model.parameters import VolumeParameters
+from ladar_volume.model.records import F64
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tiles.readings import tile_outside
+from ladar_volume.tiles.readings.tiled_readings import Around
+from ladar_volume.tiles.tile_batches import ask
+from ladar_volume.tiles.tiled_outline import part_labels
+from ladar_volume.tiles.unseen.tiled_layers import near_places
+from ladar_volume.volume.field_checks.completeness import further_doubts, one_sided_doubts
+
+
+class Edge(NamedTuple):
+    """toe_m3 : what a thin toe holds beyond the outline · open_share : of the outline, on the edge
+    of what was sampled
+    """
+
+    toe_m3: float
+    open_share: float
+
+
+def edge_of(around: Around) -> Edge:
+    """What the edge of the outline is."""
+    outline = around.found.folder
+    found = around.each(tile_outside.border_sides, outline)
+    sides = np.concatenate([ends for ends, _ in found])
+    closed, beyond, area = np.sum([facts for _, facts in found], axis=0).tolist()
+    xyz = inside_points(around, -math.inf, "inside_vertices")
+    line = Outline(sides[:, :2], sides[:, 2:], closed, area)
+    height = height_above(xyz, around.found.fit.plane)
+    toe = beyond_profile(line, xyz[:, :2], height)
+    return Edge(toe, beyond / (closed + beyond) if closed + beyond > 0.0 else 0.0)
+
+
+def inside_points(around: Around, rise_m: float, name: str) -> F64:
+    """Places (k, 3) m of some vertices inside the outline that rise more above the ground."""
+    facts = around.each(tile_outside.inside_vertices, around.region, rise_m, name)
+    count = int(sum(f[0] for f in facts))
+    return around.every(name, count, max(1, count // ENOUGH))
+
+
+def with_edge(volume: CloudVolume, edge: Edge) -> CloudVolume:
+    """The volume with what its toe holds beyond the outline."""
+    return with_lines(volume, {"toe": edge.toe_m3**2}) if edge.toe_m3**2 > 0.0 else volume
+
+
+def body_doubts(
+    around: Around, edge: Edge, v: VolumeParameters, sigma_m3: float
+) -> tuple[list[Doubt], list[Doubt]]:
+    """Doubts about the edge of the survey; and about further bodies, and ground on one side."""
+    further = [] if v.bodies == 0 else further_bodies(around, v, sigma_m3)
+    return open_doubts(edge.open_share), further + one_sided(around)
+
+
+def further_bodies(around: Around, v: VolumeParameters, sigma_m3: float) -> list[Doubt]:
+    """Other bodies stand beside those that count."""
+    parts = around.found.parts
+    label = part_labels(parts)
+    total = np.bincount(label, np.concatenate([p.total for p in parts]))
+    more = [(around.region, p.count) for p in parts]
+    each = ask(around.fitter.workers, around.fitter.of, tile_outside.bodies_beside, more)
+    sums = np.zeros((len(total), 4))
+    np.add.at(sums, label, np.concatenate(each))
+    order = np.argsort(-total, kind="stable")
+    found = [
+        (float(sums[k, 0]), *(sums[k, 2:] / sums[k, 1]).tolist())
+        for n, k in enumerate(order.tolist())
+        if (n == 0 or (total[k] > 0 and total[k] >= v.min_body_m3))
+        and sums[k, 1] > 0
+        and sums[k, 0] >= max(v.min_body_m3, sigma_m3)
+    ]
+    return further_doubts(found, v.object_height_m)
+
+
+def one_sided(around: Around) -> list[Doubt]:
+    """The ground lies on one side only."""
+    facts = around.sums(tile_outside.inside_vertices, around.region, -math.inf, "inside_vertices")
+    centre = facts[1:] / facts[0]
+    chosen = around.found.fit.chosen
+    return one_sided_doubts(around.sums(tile_outside.support_directions, chosen, centre))
+
+
+def with_growth(
+    around: Around, volume: CloudVolume, v: VolumeParameters
+) -> tuple[CloudVolume, list[Doubt]]:
+    """The volume with what grows on the ground around the body."""
+    name, region = "high_vertices", around.region
+    facts = around.sums(tile_outside.inside_vertices, region, v.object_height_m, name)
+    count, n = int(facts[0]), around.found.fit.count
+    if count < FEWEST or n < FEWEST:
+        return volume, []
+    centre = facts[1:] / count
+    body = robust_sigma(scatter_at(around, around.some(name, count, MOST)), 0.0)
+    low = around.fitter.at_ranks(region.chosen, n, max(1, math.ceil(n / MOST)))[:, 1:4]
+    off = scatter_at(around, low)
+    return with_growth_of(volume, growth_by_sectors(low[:, :2] - centre, off, body))
+
+
+def scatter_at(around: Around, places: F64) -> F64:
+    """What local quadrics miss points (k, 3) m by, m."""
+    near, own, order = near_places(around.fitter, places)
+    out = np.empty(len(places))
+    out[order] = fit_residuals(own, near, np.arange(len(own)))[0]
+    return np.where(np.isfinite(out), out, 0.0)
