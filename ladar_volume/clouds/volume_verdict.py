@@ -420,11 +420,24 @@ def with_missing(
     they are doubted. counted : area (m,) m² of each triangle that counts, and vertices (n,) on
     steep faces
     """
+    size = abs(volume.cut_m3 - volume.fill_m3)
+    lines = missing_lines(size, tin, base, counted, doubts, parameters)
+    return with_lines(volume, lines) if lines else volume
+
+
+def missing_lines(
+    size_m3: float,
+    tin: Tin,
+    base: Plane,
+    counted: tuple[F64, Bool],
+    doubts: list[Doubt],
+    parameters: Parameters,
+) -> dict[str, float]:
+    """The lines that this adds to a budget, m⁶, of a body of so many m³."""
     lines, (inside, on_face) = dict[str, float](), counted
     doubted = {doubt.name: doubt.value or 0.0 for doubt in doubts}
     if "cut" in doubted:
-        size = abs(volume.cut_m3 - volume.fill_m3)
-        lines["cut"] = cut_m6(tin, base, inside, size, parameters)
+        lines["cut"] = cut_m6(tin, base, inside, size_m3, parameters)
     if "wall" in doubted or "object" in doubted:
         faces = (inside > 0.0) & on_face[tin.triangles].any(axis=1)
         wall = wall_m6(tin, faces, STEP * parameters.volume.object_height_m)
@@ -433,8 +446,7 @@ def with_missing(
             lines["wall"] = wall + enclosed_m6(tin, inside, on_face)
         else:
             lines["wall"] = min(wall, doubted["object"] ** 2)
-    lines = {name: variance for name, variance in lines.items() if variance > 0.0}
-    return with_lines(volume, lines) if lines else volume
+    return {name: variance for name, variance in lines.items() if variance > 0.0}
 
 
 def faces_around(surface: CloudSurface, base: Plane, inside: F64, rise_m: float) -> Bool:

@@ -139,13 +139,14 @@ def held_words(found: TiledVolume) -> str:
 def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
     """What speaks against a volume by tiles."""
     points = sum(s.points for s in found.sums)
-    missing = ["the toe, other readings of the ground, walls and what grows"] * ground
-    missing += ["gaps and what lies between the points"] * (found.between is None)
     out = list(found.doubts)
-    if missing:
+    if found.between is None:
+        missing = (
+            "gaps, what lies between the points" + " and other readings of the ground" * ground
+        )
         words = (
-            f"{', '.join(missing)} of {points:,} points are not judged by tiles, and not in sigma; "
-            "hold a part of the cloud against ladar_volume volume"
+            f"{missing} of {points:,} points are not judged by tiles, and not in sigma; hold a "
+            "part of the cloud against ladar_volume volume"
         )
         out.append(Doubt("tiles_not_judged", words, float(points)))
     if math.isnan(found.volume.sigma_m3):

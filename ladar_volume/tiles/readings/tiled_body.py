@@ -5,6 +5,7 @@ stands beside it, the sides on which there is no ground, and what grows on that.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,17 +14,20 @@ from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, robust_sigma
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_cover import MOST, growth_by_sectors
 from ladar_volume.clouds.sampling.thin_toe import ENOUGH, Outline, beyond_profile
-from ladar_volume.clouds.volume_verdict import open_doubts, with_growth_of, with_lines
+from ladar_volume.clouds.volume_verdict import with_growth_of, with_lines
 from ladar_volume.ground.heights import height_above
 from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt
-from ladar_volume.tiles.readings import tile_outside
+from ladar_volume.tiles.readings import tile_body, tile_outside
+from ladar_volume.tiles.readings.tile_body import BodyTask, JudgedBody, judged_body
 from ladar_volume.tiles.readings.tiled_readings import Around
 from ladar_volume.tiles.tile_batches import ask
+from ladar_volume.tiles.tile_work import each_result
 from ladar_volume.tiles.tiled_outline import part_labels
 from ladar_volume.tiles.unseen.tiled_layers import near_places
 from ladar_volume.volume.field_checks.completeness import further_doubts, one_sided_doubts
+from ladar_volume.volume.field_checks.standing_objects import AROUND_M
 
 
 class Edge(NamedTuple):
@@ -60,12 +64,31 @@ def with_edge(volume: CloudVolume, edge: Edge) -> CloudVolume:
     return with_lines(volume, {"toe": edge.toe_m3**2}) if edge.toe_m3**2 > 0.0 else volume
 
 
-def body_doubts(
-    around: Around, edge: Edge, v: VolumeParameters, sigma_m3: float
-) -> tuple[list[Doubt], list[Doubt]]:
-    """Doubts about the edge of the survey; and about further bodies, and ground on one side."""
-    further = [] if v.bodies == 0 else further_bodies(around, v, sigma_m3)
-    return open_doubts(edge.open_share), further + one_sided(around)
+def completeness(around: Around, volume: CloudVolume, scatter_m: float) -> JudgedBody:
+    """Whether the body is cut, whether walls or further bodies stand by, and whether the ground is
+    on one side only. scatter_m : of its points
+    """
+    v, judged = around.finder.parameters.volume, JudgedBody([], {})
+    boxes = around.found.boxes
+    beside, of = around.finder.beside(boxes, AROUND_M), around.fitter.of
+    more = [(around.region, some) for some in beside]
+    counts = ask(around.fitter.workers, of, tile_body.body_and_around, more)
+    if (count := sum(counts)) > tile_body.MOST_OF_BODY:
+        words = (
+            f"whether the body is cut, and whether walls stand in it, is not told of {count:,}"
+            f" points, more than {tile_body.MOST_OF_BODY:,}: look at it, or hold a part of the "
+            "cloud against ladar_volume volume"
+        )
+        judged.doubts.append(Doubt("tiles_not_judged", words, float(count)))
+    else:
+        tiles = [tile for tile, n in zip(of.tiles, counts, strict=True) if n]
+        size = abs(volume.cut_m3 - volume.fill_m3)
+        scatter = 0.0 if math.isnan(scatter_m) else scatter_m
+        parameters = around.finder.parameters
+        task = BodyTask(around.region, tiles, parameters, volume.sigma_m3, size, scatter)
+        (judged,) = each_result(around.fitter.workers, partial(judged_body, of), [task])
+    further = [] if v.bodies == 0 else further_bodies(around, v, volume.sigma_m3)
+    return JudgedBody([*judged.doubts, *further, *one_sided(around)], judged.lines)
 
 
 def further_bodies(around: Around, v: VolumeParameters, sigma_m3: float) -> list[Doubt]:
@@ -96,20 +119,35 @@ def one_sided(around: Around) -> list[Doubt]:
     return one_sided_doubts(around.sums(tile_outside.support_directions, chosen, centre))
 
 
+class Scatter(NamedTuple):
+    """centre : (2,) m, of the body's vertices · scatter_m : of its points about local quadrics"""
+
+    centre: F64
+    scatter_m: float
+
+
+def body_scatter(around: Around, rise_m: float) -> Scatter:
+    """How the points of the body scatter; NaN where they are too few."""
+    name = "high_vertices"
+    facts = around.sums(tile_outside.inside_vertices, around.region, rise_m, name)
+    count, centre = int(facts[0]), facts[1:] / max(facts[0], 1.0)
+    if count < FEWEST:
+        return Scatter(centre, math.nan)
+    return Scatter(centre, robust_sigma(scatter_at(around, around.some(name, count, MOST)), 0.0))
+
+
 def with_growth(
-    around: Around, volume: CloudVolume, v: VolumeParameters
+    around: Around, volume: CloudVolume, body: Scatter
 ) -> tuple[CloudVolume, list[Doubt]]:
     """The volume with what grows on the ground around the body."""
-    name, region = "high_vertices", around.region
-    facts = around.sums(tile_outside.inside_vertices, region, v.object_height_m, name)
-    count, n = int(facts[0]), around.found.fit.count
-    if count < FEWEST or n < FEWEST:
+    n = around.found.fit.count
+    if n < FEWEST or math.isnan(body.scatter_m):
         return volume, []
-    centre = facts[1:] / count
-    body = robust_sigma(scatter_at(around, around.some(name, count, MOST)), 0.0)
-    low = around.fitter.at_ranks(region.chosen, n, max(1, math.ceil(n / MOST)))[:, 1:4]
+    step = max(1, math.ceil(n / MOST))
+    low = around.fitter.at_ranks(around.region.chosen, n, step)[:, 1:4]
     off = scatter_at(around, low)
-    return with_growth_of(volume, growth_by_sectors(low[:, :2] - centre, off, body))
+    grown = growth_by_sectors(low[:, :2] - body.centre, off, body.scatter_m)
+    return with_growth_of(volume, grown)
 
 
 def scatter_at(around: Around, places: F64) -> F64:

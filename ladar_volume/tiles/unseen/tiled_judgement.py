@@ -13,6 +13,7 @@ from ladar_volume.clouds.sampling.layers import layer_doubts
 from ladar_volume.clouds.volume_verdict import (
     base_doubts,
     coarse_doubts,
+    open_doubts,
     with_between_points,
     with_bridged,
     with_lines,
@@ -22,7 +23,8 @@ from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import Plane
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles.readings.tiled_body import (
-    body_doubts,
+    body_scatter,
+    completeness,
     edge_of,
     with_edge,
     with_growth,
@@ -79,15 +81,17 @@ def above_ground(
     """A volume above the cloud's own ground with lines for the toe, other readings of that ground
     and what grows on it, and with what speaks against it besides.
     """
-    by_body, beside = v.outline == "auto", list[Doubt]()
+    by_body = v.outline == "auto"
     readings = ground_readings(around, volume.area_m2, v.object_height_m)
     if by_body:
         edge = edge_of(around)
-        volume = with_edge(volume, edge)
-        at_edge, beside = body_doubts(around, edge, v, volume.sigma_m3)
-        doubts = doubts + at_edge
+        volume, doubts = with_edge(volume, edge), [*doubts, *open_doubts(edge.open_share)]
     doubts = doubts + base_doubts(readings, volume, by_body)
-    doubts += [*unsettled(around.found.fit.plane, volume.sigma_m3), *beside]
-    volume = with_readings(volume, readings, doubts)
-    volume, more = with_growth(around, volume, v)
+    doubts += unsettled(around.found.fit.plane, volume.sigma_m3)
+    body = body_scatter(around, v.object_height_m)
+    if by_body:
+        judged = completeness(around, volume, body.scatter_m)
+        doubts += judged.doubts
+        volume = with_lines(volume, judged.lines) if judged.lines else volume
+    volume, more = with_growth(around, with_readings(volume, readings, doubts), body)
     return volume, [*doubts, *more]
