@@ -44,6 +44,8 @@ GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 CHANCE = 2.5
 #: Weights of the centre and of each corner of a triangle: exact for quadratics.
 CENTRE, CORNER = 9.0 / 12.0, 1.0 / 12.0
+#: A place is on an edge whose barycentric coordinate is less.
+ON_EDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -256,8 +258,28 @@ class Places(NamedTuple):
 
 def on_coarser(coarse: Tin, p: F64) -> Places:
     """Places p (p, 3) m of a surface on a coarser one, a Delaunay triangulation."""
-    where = locate_in_delaunay(coarse, p[:, :2])
-    return Places(p[:, 2], where, barycentric(coarse, where, p[:, :2]))
+    return places_in_triangles(coarse, p, locate_in_delaunay(coarse, p[:, :2]))
+
+
+def places_in_triangles(coarse: Tin, p: F64, where: I64) -> Places:
+    """Places p (p, 3) m in triangles (p,) of a surface, -1 for none. On lattices many lie on an
+    edge, in one triangle or the other by the last bit and the way they were found: they then are in
+    the one with the lower sum of x, then y.
+    """
+    at = barycentric(coarse, where, p[:, :2])
+    rows = np.flatnonzero((where >= 0) & (at.min(axis=1) < ON_EDGE))
+    beyond = coarse.neighbours[where[rows], at[rows].argmin(axis=1)]
+    rows, beyond = rows[beyond >= 0], beyond[beyond >= 0].astype(np.int64)
+    if len(rows):
+        own, other = (
+            np.sort(coarse.vertices[coarse.triangles[t], :2], axis=1).sum(axis=1)
+            for t in (where[rows], beyond)
+        )
+        moves = (other[:, 0] < own[:, 0]) | ((other[:, 0] == own[:, 0]) & (other[:, 1] < own[:, 1]))
+        where = where.copy()
+        where[rows[moves]] = beyond[moves]
+        at[rows[moves]] = barycentric(coarse, beyond[moves], p[rows[moves], :2])
+    return Places(p[:, 2], where, at)
 
 
 @kernel

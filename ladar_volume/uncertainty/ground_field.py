@@ -15,6 +15,7 @@ from scipy.fft import dctn, next_fast_len, rfft2
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32
+from ladar_volume.tin.full_tin import first_corner
 
 #: Distances whose correlations are computed at a time, of half a million: all of them would pass
 #: through memory for each operation.
@@ -185,11 +186,12 @@ def spread_kernel(
     for t in range(len(triangles)):
         if area[t] == 0.0:
             continue
-        for k in range(3):
-            stack[0, 2 * k], stack[0, 2 * k + 1] = (
-                vertices[triangles[t, k], 0],
-                vertices[triangles[t, k], 1],
-            )
+        corner, first = first_corner(vertices, triangles, t), 0
+        while triangles[t, first] != corner:
+            first += 1
+        for k in range(3):  # from the first: of equal edges the same is halved, however numbered
+            at = vertices[triangles[t, (first + k) % 3]]
+            stack[0, 2 * k], stack[0, 2 * k + 1] = at[0], at[1]
         stack[0, 6], left = area[t], 1
         while left > 0:
             left -= 1

@@ -38,8 +38,7 @@ def both(path, folder, tile_m):
     [
         (random, 21.0, 1e-9),
         (gridded, 27.0, 1e-9),
-        # middles of triangles lie on edges of the coarser surface: which one has them is by chance
-        (on_lines, 1000.0, 0.02),
+        (on_lines, 1000.0, 1e-9),  # middles of triangles lie on edges of the coarser surface
         (ragged, 27.0, 1e-9),
     ],
 )

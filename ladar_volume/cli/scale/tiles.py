@@ -28,13 +28,14 @@ from ladar_volume.version import version
 
 #: Options of ``volume`` that tiles know.
 SHARED = frozenset(
-    "verb run cloud json strict level plane base outline set ground_preset clean no_correction "
-    "relevant max_edge max_circle sigma tile store dask workers".split()
+    "verb run cloud json strict quiet crs units classes level plane base outline set ground_preset "
+    "clean no_correction relevant max_edge max_circle sigma tile store dask workers".split()
 )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Deal out, triangulate, add up, print."""
+    refuse_unknown_options(arguments)
     console, words = Console(stderr=arguments.json), Console(stderr=True)
     parameters = requested_parameters(arguments)
     store = arguments.store or arguments.cloud.with_name(arguments.cloud.name + ".tiles")
@@ -155,17 +156,22 @@ def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
 
 
 def refuse_unknown_options(a: argparse.Namespace) -> None:
-    """Raises :class:`ConfigurationError` for options of ``volume`` that tiles do not know, and for
-    what it does besides unless it is told not to.
-    """
+    """Raises :class:`ConfigurationError` for options of ``volume`` that tiles do not know."""
     from ladar_volume.cli.main import make_parser
 
-    usual = vars(make_parser("volume").parse_args(["volume", str(a.cloud)]))
+    usual = vars(make_parser(a.verb).parse_args([a.verb, str(a.cloud)]))
     for name, value in vars(a).items():
         if name not in SHARED and value != usual[name]:
-            words = f"--{name.replace('_', '-')} is not done by tiles: leave it out, or leave "
-            words += "--tile and --dask out"
+            option = "a second cloud" if name == "cloud_b" else f"--{name.replace('_', '-')}"
+            words = f"{option} is not done by tiles: leave it out, or use volume without --tile "
+            words += "and --dask"
             raise ConfigurationError(words, value=name)
+
+
+def refuse_what_is_judged(a: argparse.Namespace) -> None:
+    """Raises :class:`ConfigurationError` for what ``volume`` does besides unless it is told not
+    to.
+    """
     off = {"--clean off": a.clean == "off"}
     by_limit = a.max_edge is not None or a.max_circle is not None
     off["--relevant all (or --max-edge, --max-circle)"] = by_limit or a.relevant == "all"
@@ -180,5 +186,5 @@ def refuse_unknown_options(a: argparse.Namespace) -> None:
 
 def run_volume(arguments: argparse.Namespace) -> int:
     """``ladar_volume volume`` by tiles."""
-    refuse_unknown_options(arguments)
+    refuse_what_is_judged(arguments)
     return run(arguments)

@@ -22,6 +22,7 @@ from ladar_volume.clouds.between_points import (
     chosen_squares,
     middles_of,
     number_vertices,
+    places_in_triangles,
     row_step,
     volume_by_block,
 )
@@ -45,7 +46,7 @@ from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tiles.unseen.tile_spacing import KeptPoints
 from ladar_volume.tin.full_tin import first_corners, footprint_areas, places_in
-from ladar_volume.tin.locate import barycentric, locate, triangle_index
+from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters
 
 
@@ -237,7 +238,7 @@ def on_coarser(kept: KeptPoints, places: F64, reach: Box) -> tuple[Tin, Places]:
             where = locate(triangle_index(coarse), places[:, :2])
             left = where < 0
             if len(tiles) == len(kept.box) or beyond_hull(places[left, :2], hull).all():
-                return coarse, Places(places[:, 2], where, barycentric(coarse, where, places))
+                return coarse, places_in_triangles(coarse, places, where)
         times *= 2.0
 
 

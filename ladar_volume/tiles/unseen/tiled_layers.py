@@ -11,10 +11,12 @@ import numpy as np
 from ladar_volume.clouds.cloud_noise import NEIGHBOURS, neighbours
 from ladar_volume.clouds.sampling.layers import FEWEST, MOST, Layers, layers_of
 from ladar_volume.clouds.sampling.rounding_step import lowest_hashes, rounding_steps
+from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_fit import VertexSelection
+from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_patch import in_box, tiles_in
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tiled_ground import GroundFitter
@@ -36,15 +38,15 @@ def found_layers(fitter: GroundFitter) -> Layers:
 
 
 def near_places(fitter: GroundFitter, some: F64) -> tuple[F64, F64, I64]:
-    """The points (k, :data:`NEIGHBOURS`, 3) of all tiles nearest over the plane to vertices (k, 3)
-    m, these tile by tile, and their rows (k,) among those given.
+    """The points (k, :data:`NEIGHBOURS`, 3) of all tiles nearest over the plane to those at
+    vertices (k, 3) m; these points, tile by tile, and their rows (k,) among the vertices.
     """
     of = fitter.of
     cells = np.floor(some[:, :2] / of.index.cloud.tile_m).astype(np.int64)
     own = [np.flatnonzero((cells == tile).all(axis=1)) for tile in of.tiles]
-    near = ask(fitter.workers, of, neighbours_of, [(some[rows],) for rows in own])
-    order = np.concatenate(own)
-    return np.concatenate(near), some[order], order
+    told = ask(fitter.workers, of, neighbours_of, [(some[rows],) for rows in own])
+    near, points = (np.concatenate([t[k] for t in told]) for k in range(2))
+    return near, points, np.concatenate(own)
 
 
 def height_step(fitter: GroundFitter) -> float:
@@ -59,32 +61,46 @@ def hashed(of: TiledCloud, tile: Tile) -> F64:
     return lowest_hashes(of.index.places(tile)[:, :3])
 
 
-def neighbours_of(of: TiledCloud, tile: Tile, own: F64) -> F64:
-    """The points (k, :data:`NEIGHBOURS`, 3) of all tiles nearest over the plane to vertices (k, 3)
-    of a tile.
+def neighbours_of(of: TiledCloud, tile: Tile, own: F64) -> tuple[F64, F64]:
+    """The points (k, :data:`NEIGHBOURS`, 3) of all tiles nearest over the plane to those at
+    vertices (k, 3) of a tile, the first of the file where there are several, and these (k, 3).
     """
     if not len(own):
-        return np.zeros((0, NEIGHBOURS, 3))
+        return np.zeros((0, NEIGHBOURS, 3)), own
     width = WIDTH * of.index.cloud.tile_m / of.index.count[tile] ** 0.5
     low, high = own[:, :2].min(axis=0), own[:, :2].max(axis=0)
     while True:
         box = (*(low - width).tolist(), *(high + width).tolist())
-        tiles = tiles_in(of.index, box)
-        points = np.concatenate([of.index.places(t)[:, :3] for t in tiles])
-        points = points[in_box(points, box)]
-        everything = len(points) == sum(of.index.count.values())
+        points = distinct_in_box(of, box)
         if len(points) > NEIGHBOURS:
-            rows = row_of(points, own)
+            rows = first_at(points, own)
             near = neighbours(points, np.arange(len(points)), rows)
             far = np.hypot(*(near[..., :2] - own[:, None, :2]).transpose(2, 0, 1)).max()
-            if far <= width or everything:
-                return near
+            if far <= width or len(points) >= sum(of.index.count.values()):
+                return near, points[rows]
         width *= 2.0
 
 
-def row_of(points: F64, own: F64) -> np.ndarray:
-    """The rows (m,) of places (m, 3) among points (n, 3) by tile, then x and y."""
+def distinct_in_box(of: TiledCloud, box: Box) -> F64:
+    """The points (n, 3) in a box, each once, in the order of the file."""
+    found, rows = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
+    for tile in tiles_in(of.index, box):
+        places = of.index.places(tile)
+        if (places[:, 3] == 1.0).all():  # as most tiles are: no need for the parts
+            points, row = places[:, :3], of.index.place_rows(tile)
+        else:
+            points, row = of.index.points(tile), of.index.rows(tile)
+        some = in_box(points, box)
+        found.append(points[some])
+        rows.append(row[some])
+    points = np.concatenate(found)[np.argsort(np.concatenate(rows))]
+    return points[distinct_rows(points)]
+
+
+def first_at(points: F64, own: F64) -> I64:
+    """The first of points (n, 3) at each of the places (m, 3), by row."""
     order = np.lexsort((points[:, 1], points[:, 0]))
     names = np.ascontiguousarray(points[order, :2]).view(np.complex128).reshape(-1)
     asked = np.ascontiguousarray(own[:, :2]).view(np.complex128).reshape(-1)
-    return np.asarray(order[np.searchsorted(names, asked)])
+    out: I64 = order[np.searchsorted(names, asked)].astype(np.int64)
+    return out
