@@ -118,7 +118,11 @@ def rim_kernel(r: F64, middle: F64, place: F64, apart: F64, metres: tuple[float,
     """
     far, reach = metres
     rows, count = np.empty(len(r), np.int64), 0
+    x0, x1 = place[:, 0].min() - reach, place[:, 0].max() + reach
+    y0, y1 = place[:, 1].min() - reach, place[:, 1].max() + reach
     for i in range(len(r)):
+        if not (x0 <= r[i, 0] <= x1 and y0 <= r[i, 1] <= y1):
+            continue
         if (r[i, 0] - middle[0]) ** 2 + (r[i, 1] - middle[1]) ** 2 > far * far:
             continue
         best, at = np.inf, 0
