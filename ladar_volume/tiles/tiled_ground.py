@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,12 +28,12 @@ from ladar_volume.ground.robust_ground import (
 )
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
-from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.records import F64, I64, Plane
 from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_work import Workers
-from ladar_volume.tiles.tiled_ranks import median_of_bins, rows_at_ranks
+from ladar_volume.tiles.tiled_ranks import bins_together, median_of_bins, rows_at_ranks
 
 
 @dataclass(frozen=True)
@@ -120,15 +121,15 @@ class GroundFitter:
 
     def _spread(self, chosen: VertexSelection, beta: F64) -> tuple[F64, float]:
         """Sums as of :func:`tile_fit.spread`, and the robust sigma of the residuals, m."""
-        found = ask(self.workers, self.of, tile_fit.spread, self._same(chosen, beta))
+        asked = self._same(chosen, beta)
+        found = ask_merged(self.workers, self.of, tile_fit.spread, asked, spreads_together)
 
         def sizes(low: int, high: int) -> list[F64]:
             return ask(
                 self.workers, self.of, tile_fit.sizes_in, self._same(chosen, beta, low, high)
             )
 
-        median = median_of_bins([(bins, count) for _, bins, count in found], sizes)
-        return np.sum([s for s, _, _ in found], axis=0), MAD_TO_SIGMA * median
+        return found[0], MAD_TO_SIGMA * median_of_bins(found[1:], sizes)
 
     def at_ranks(self, chosen: VertexSelection, n: int, step: int) -> F64:
         """Row, x, y, z, points (k, 5) of every ``step``-th of n chosen vertices in the order of the
@@ -160,6 +161,11 @@ class GroundFitter:
         sums = ask_merged(self.workers, self.of, tile_fit.moments, asked)
         mean = sums[0, 1:] / sums[0, 0]
         check_spread(sums[1:, 1:] / sums[0, 0] - np.outer(mean, mean), grown.plane.rms_m)
+
+
+def spreads_together(found: Sequence[tuple[F64, I64, I64]]) -> tuple[F64, I64, I64]:
+    """What :func:`tile_fit.spread` tells of several tiles."""
+    return np.sum([f[0] for f in found], axis=0), *bins_together([f[1:] for f in found])
 
 
 def vertices_within(plane: Plane, limit_m: float, ring: Path | None = None) -> VertexSelection:

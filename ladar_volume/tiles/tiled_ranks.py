@@ -49,15 +49,20 @@ def rows_at_ranks(
     return np.asarray(rows[place[at] + ranks - before[at]])
 
 
-def median_of_bins(
-    found: Sequence[tuple[I64, I64]], fetch: Callable[[int, int], Sequence[F64]]
-) -> float:
-    """The median of values of which each tile tells the bins, ascending with the values, and how
-    many there are in each. fetch : takes the first and the last of some bins, and gives the values
-    in them, by tile
-    """
+def bins_together(found: Sequence[tuple[I64, I64]]) -> tuple[I64, I64]:
+    """Bins (k,), ascending, and how many values are in each, from those of several tiles."""
     bins, at = np.unique(np.concatenate([b for b, _ in found]), return_inverse=True)
-    below = np.cumsum(np.bincount(at, np.concatenate([c for _, c in found]))).astype(int)
+    count = np.zeros(len(bins), np.int64)
+    np.add.at(count, at.reshape(-1), np.concatenate([c for _, c in found]))
+    return bins, count
+
+
+def median_of_bins(found: tuple[I64, I64], fetch: Callable[[int, int], Sequence[F64]]) -> float:
+    """The median of the values of all tiles from their bins, ascending with the values, and how
+    many are in each. fetch : takes the first and the last of some bins, and gives the values in
+    them, by tile
+    """
+    bins, below = found[0], np.cumsum(found[1])
     ranks = np.array([(below[-1] - 1) // 2, below[-1] // 2])
     first, last = np.searchsorted(below, ranks, side="right")
     values = np.sort(np.concatenate(fetch(int(bins[first]), int(bins[last]))))

@@ -186,9 +186,8 @@ def spread_kernel(
     for t in range(len(triangles)):
         if area[t] == 0.0:
             continue
-        corner, first = first_corner(vertices, triangles, t), 0
-        while triangles[t, first] != corner:
-            first += 1
+        corner = first_corner(vertices, triangles, t)
+        first = 0 if corner == triangles[t, 0] else 1 if corner == triangles[t, 1] else 2
         for k in range(3):  # from the first: of equal edges the same is halved, however numbered
             at = vertices[triangles[t, (first + k) % 3]]
             stack[0, 2 * k], stack[0, 2 * k + 1] = at[0], at[1]

@@ -32,7 +32,7 @@ from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tile_volume import Squares
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import OutlineFinder, TiledOutline
-from ladar_volume.tiles.tiled_ranks import median_of_bins
+from ladar_volume.tiles.tiled_ranks import bins_together, median_of_bins
 from ladar_volume.uncertainty.ground_field import (
     Roughness,
     field_squares,
@@ -98,8 +98,10 @@ class Around:
 
     def median(self, bins: Callable[..., Any], values: Callable[..., F64], *more: object) -> float:
         """The median of values that the tiles tell by bins; 0 for none."""
-        found = self.each(bins, *more)
-        if not sum(len(b) for b, _ in found):
+        of = self.fitter.of
+        asked: list[tuple[object, ...]] = [more] * len(of.tiles)
+        found = ask_merged(self.fitter.workers, of, bins, asked, bins_together)
+        if not len(found[0]):
             return 0.0
         return median_of_bins(found, lambda low, high: self.each(values, *more, low, high))
 

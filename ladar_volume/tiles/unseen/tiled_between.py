@@ -137,9 +137,12 @@ class BetweenFinder:
         cells = self._ask(tile_spacing.border_cells, rasters, extents, shift)
         every = Cells(*(np.concatenate([c[k] for c in cells]) for k in range(3)))
         loses = ~tile_spacing.winners(every)
-        lost: I64 = every.row[loses]
-        lost_of = np.repeat(np.arange(len(cells)), [len(c.row) for c in cells])[loses]
-        more = [(rasters, extents, shift, lost[lost_of == k]) for k in range(len(cells))]
+        first = np.cumsum([len(c.row) for c in cells])[:-1]
+        lost = [
+            rows[loses]
+            for rows, loses in zip(np.split(every.row, first), np.split(loses, first), strict=True)
+        ]
+        more = [(rasters, extents, shift, rows) for rows in lost]
         found = self._each(tile_spacing.keep, more)
         if sum(n for n, _, _ in found) < FEWEST // 4:
             return None
