@@ -79,3 +79,17 @@ def test_a_gap_with_too_many_points_around_is_a_doubt_and_not_in_sigma(
     found = told(capsys, path, "--level", LEVEL, "--tile", 21, "--store", tmp_path / "store")
     assert found["budget_m6"].get("unseen", 0.0) == 0.0
     assert "unseen" in [r["name"] for r in found["verdict"]["reasons"]]
+
+
+def test_points_around_a_long_gap_are_sought_along_it_and_not_in_its_box():
+    t = np.linspace(0.0, 1.0, 30)[:, None]
+    gap = np.array([100.0, 200.0]) + t * [600.0, 600.0] + [[0.0, 0.1]] * (t > 0.5)
+    stretch = tile_gaps.Stretch.of(gap)
+    rng = np.random.default_rng(1)
+    xy = rng.uniform([50.0, 150.0], [750.0, 850.0], (4000, 2))
+    along = (xy - [100.0, 200.0]) @ np.array([1.0, 1.0]) / 2**0.5
+    across = np.abs((xy - [100.0, 200.0]) @ np.array([1.0, -1.0])) / 2**0.5
+    inner = (along > -9.8) & (along < 600.0 * 2**0.5 + 9.8) & (across < 9.8)
+    outer = (along > -10.2) & (along < 600.0 * 2**0.5 + 10.2) & (across < 10.2)
+    held = stretch.holds(xy, 10.0)
+    assert held[inner].all() and not held[~outer].any() and 50 < inner.sum() < 400

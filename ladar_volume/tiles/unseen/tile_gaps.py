@@ -13,16 +13,22 @@ from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import bins_of
-from ladar_volume.tiles.tile_outline import Box, TileParts, parts_of, read, write
-from ladar_volume.tiles.tile_patch import in_box, inside_of, tiles_in
-from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_outline import TileParts, parts_of, read, write
+from ladar_volume.tiles.tile_patch import inside_of
+from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of, used_of
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.volume.field_checks.gap_kriging import REACH, SPACINGS, ObservedPoints, diameter
-from ladar_volume.volume.field_checks.gaps import GAP, corners_above, gap_over, spanning
+from ladar_volume.volume.field_checks.gaps import (
+    GAP,
+    corners_above,
+    gap_at,
+    gap_places,
+    spanning,
+)
 from ladar_volume.volume.field_checks.unseen_surface import APART, AWAY, FILLED, UnseenVolume
 
 #: Points around one gap, at most: of a wider one nothing is told.
@@ -130,18 +136,37 @@ class GapTask:
     sigma_m: float
     usual_m: float
 
-    @property
-    def box(self) -> Box:
-        """All points that its surface may be told from lie in it."""
-        xy = np.ascontiguousarray(self.corners[:, :, :2].reshape(-1, 2))
-        (x0, y0), (x1, y1) = extent_of(xy)
-        u, v = (self.corners[:, k, :2] - self.corners[:, 0, :2] for k in (1, 2))
-        size = diameter(0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()))
-        edges = np.roll(self.corners, 1, axis=1)[:, :, :2] - self.corners[:, :, :2]
-        longest = float(np.linalg.norm(edges, axis=2).max())
-        d = AWAY * size + max(REACH * size, SPACINGS * self.usual_m) + APART * longest
-        d = 1.01 * (d + FILLED * self.usual_m)
-        return x0 - d, y0 - d, x1 + d, y1 + d
+
+class Stretch(NamedTuple):
+    """A rectangle along a gap. origin : (2,) m, its middle · axes : (2, 2), along it and across ·
+    half : (2,) m
+    """
+
+    origin: F64
+    axes: F64
+    half: F64
+
+    @classmethod
+    def of(cls, xy: F64) -> Stretch:
+        """The rectangle of places (k, 2) m along their own axes."""
+        axes = np.linalg.eigh(np.cov(xy.T))[1].T[::-1]
+        low, high = extent_of(np.ascontiguousarray(xy @ axes.T))
+        return cls(0.5 * (low + high) @ axes, axes, 0.5 * (high - low))
+
+    def holds(self, xy: F64, margin_m: F64 | float) -> Bool:
+        """Which of places (n, 2) m lie in it, or within a margin of it."""
+        off = np.abs((xy - self.origin) @ self.axes.T)
+        out: Bool = (off <= self.half + np.reshape(margin_m, (-1, 1))).all(axis=1)
+        return out
+
+
+def tiles_near(index: TileIndex, stretch: Stretch, margin_m: float) -> list[Tile]:
+    """The tiles with points in a rectangle, or nearly, by name."""
+    tiles = sorted(index.box)
+    box = np.array([index.box[t] for t in tiles])
+    far = 0.5 * np.hypot(*(box[:, 2:] - box[:, :2]).T)
+    near = stretch.holds(0.5 * (box[:, :2] + box[:, 2:]), margin_m + far)
+    return [tiles[k] for k in np.flatnonzero(near).tolist()]
 
 
 def gap_surface(
@@ -151,16 +176,27 @@ def gap_surface(
     too many of these.
     """
     number, at = task
-    tiles = tiles_in(of.index, at.box)
-    share = np.ones(len(at.corners))
-    if sum(of.index.count[t] for t in tiles) > MOST_AROUND:
-        return number, gap_over(at.corners, share, None)
-    around = []
-    for tile in tiles:
-        xyz, _, _ = used_of(of.index, of.limits, tile)
-        around.append(xyz[in_box(xyz, at.box)])
-    r = np.concatenate(around)
-    r[:, 2] -= base_height(at.base, r[:, :2])
-    # the mean of several points has less, as in one process: too much by next to nothing
-    variance = np.full(len(r), at.sigma_m**2)
-    return number, gap_over(at.corners, share, ObservedPoints.of(r, variance, at.usual_m))
+    places = gap_places(at.corners, np.ones(len(at.corners)))
+    return number, gap_at(at.corners, places, seen_around(of, at, places[0], places[1]))
+
+
+def seen_around(of: TiledCloud, at: GapTask, xy: F64, weight: F64) -> ObservedPoints | None:
+    """All points that the surface of a gap of places (k, 2) m with areas (k,) m² may be told from;
+    None where these are too many.
+    """
+    size = diameter(float(weight.sum()))
+    least = AWAY * size + max(REACH * size, SPACINGS * at.usual_m) + FILLED * at.usual_m
+    stretch, margin = Stretch.of(at.corners[:, :, :2].reshape(-1, 2)), 1.01 * least
+    while True:
+        tiles = tiles_near(of.index, stretch, margin)
+        if sum(of.index.count[t] for t in tiles) > MOST_AROUND:
+            return None
+        found = [used_of(of.index, of.limits, tile)[0] for tile in tiles]
+        r = np.concatenate([xyz[stretch.holds(xyz[:, :2], margin)] for xyz in found])
+        r[:, 2] -= base_height(at.base, r[:, :2])
+        # the mean of several points has less, as in one process: too much by next to nothing
+        seen = ObservedPoints.of(r, np.full(len(r), at.sigma_m**2), at.usual_m)
+        apart = float(np.max(seen.tree.query(xy)[0]))
+        if apart <= margin and 1.01 * (least + APART * apart) <= margin:
+            return seen
+        margin = 1.01 * (least + APART * apart) if apart <= margin else 2.0 * margin

@@ -256,9 +256,20 @@ def gap_over(
     share (t,) counts, and its surface; None where nothing can be told of it, as where nothing is
     known of what was seen.
     """
+    return gap_at(corners, gap_places(corners, share), seen)
+
+
+def gap_places(corners: F64, share: F64) -> tuple[F64, F64, F64]:
+    """Places all over a gap, as :func:`places_of` gives them, whatever the triangles' numbers."""
     corners, share = in_own_order(corners, share)
-    xy, weight, height = places_of(corners, np.clip(share, 0.0, 1.0))
-    found = None
+    return places_of(corners, np.clip(share, 0.0, 1.0))
+
+
+def gap_at(
+    corners: F64, places: tuple[F64, F64, F64], seen: ObservedPoints | None
+) -> tuple[Gap, UnseenVolume | None]:
+    """The same from its :func:`gap_places`."""
+    (xy, weight, height), found = places, None
     if seen is not None:
         apart = APART * np.asarray(seen.tree.query(xy)[0])
         found = unseen_surface(seen, xy, weight, apart, height)
