@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -161,3 +162,20 @@ def moments(of: TiledCloud, tile: Tile, chosen: VertexSelection, about: F64) -> 
     xyz, _, _ = chosen_of(of, tile, chosen)
     d = np.column_stack([np.ones(len(xyz)), xyz - about])
     return np.asarray(d.T @ d)
+
+
+def binned(
+    of: TiledCloud, tile: Tile, values: Callable[..., F64], *more: object
+) -> tuple[I64, I64]:
+    """Bins of the values (k,) that a tile has, ascending, and how many there are in each."""
+    bins, count = np.unique(bins_of(values(of, tile, *more)), return_counts=True)
+    return bins, count.astype(np.int64)
+
+
+def values_in(
+    of: TiledCloud, tile: Tile, low: int, high: int, values: Callable[..., F64], *more: object
+) -> F64:
+    """Those (k,) in bins from ``low`` to ``high``."""
+    found = values(of, tile, *more)
+    bins = bins_of(found)
+    return found[(bins >= low) & (bins <= high)]

@@ -13,7 +13,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -229,15 +229,27 @@ class TileIndex:
         are not at rest or are damaged.
         """
         path = self.cloud.folder / "places" / f"{tile[0]}_{tile[1]}.npz"
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return np.asarray(file[name])
-        except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
-            found, row = places_and_rows(self.points(tile), self.rows(tile))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as part, part.open("wb") as out:
-            np.savez(out, places=found, row=row)
-        return row if name == "row" else found
+
+        def made() -> dict[str, np.ndarray]:
+            found = places_and_rows(self.points(tile), self.rows(tile))
+            return dict(zip(("places", "row"), found, strict=True))
+
+        return arrays_at_rest(path, (name,), made)[0]
+
+
+def arrays_at_rest(
+    path: Path, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]
+) -> list[np.ndarray]:
+    """Some of the arrays of an archive; all are made anew where it is missing or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return [np.asarray(file[name]) for name in names]
+    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
+        made = make()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as part, part.open("wb") as out:
+        np.savez(out, **made)  # type: ignore[arg-type]
+    return [made[name] for name in names]
 
 
 def member(archive: Path, name: str) -> np.ndarray:

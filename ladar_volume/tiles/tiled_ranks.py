@@ -68,3 +68,20 @@ def median_of_bins(found: tuple[I64, I64], fetch: Callable[[int, int], Sequence[
     values = np.sort(np.concatenate(fetch(int(bins[first]), int(bins[last]))))
     before = int(below[first - 1]) if first else 0
     return float(np.mean(values[ranks - before]))
+
+
+def median_of_tiles(
+    workers: Workers, of: TiledCloud, values: Callable[..., F64], *more: object
+) -> float:
+    """The median of what ``values(of, tile, *more)`` gives of all tiles; 0 for none."""
+    tiles = len(of.tiles)
+    asked = [(values, *more)] * tiles
+    found = ask_merged(workers, of, tile_fit.binned, asked, bins_together)
+    if not len(found[0]):
+        return 0.0
+    return median_of_bins(
+        found,
+        lambda low, high: ask(
+            workers, of, tile_fit.values_in, [(low, high, values, *more)] * tiles
+        ),
+    )

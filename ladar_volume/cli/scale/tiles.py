@@ -101,7 +101,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     """What the JSON says: that of ``volume``, and the tiles."""
     index, sums, parameters = found.index, found.sums, found.parameters
     ground = parameters.volume.base == "ground"
-    doubts = (*index.doubts, *doubts_of(found, ground))
+    doubts = (*index.doubts, *doubts_of(found, ground, a))
     return {
         **volume_facts(found.volume, parameters),
         "sigma_holds": held_words(found),
@@ -137,17 +137,19 @@ def held_words(found: TiledVolume) -> str:
     return f"noise of the points{between}{ground} only"
 
 
-def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
-    """What speaks against a volume by tiles."""
+def doubts_of(found: TiledVolume, ground: bool, a: argparse.Namespace) -> list[Doubt]:
+    """What speaks against a volume by tiles; ``volume`` was told to leave strays and edge alone."""
     points = sum(s.points for s in found.sums)
-    out = list(found.doubts)
+    out, missing = list(found.doubts), list[str]()
+    if a.verb == "tiles":
+        missing += ["strays", "the edge of what was sampled"]
     if found.between is None:
-        missing = (
-            "gaps, what lies between the points" + " and other readings of the ground" * ground
-        )
+        missing += ["gaps", "what lies between the points"]
+        missing += ["other readings of the ground"] * ground
+    if missing:
         words = (
-            f"{missing} of {points:,} points are not judged by tiles, and not in sigma; hold a "
-            "part of the cloud against ladar_volume volume"
+            f"{', '.join(missing)} of {points:,} points are not judged by tiles, and not in sigma; "
+            "clean the cloud before, and hold a part of it against ladar_volume volume"
         )
         out.append(Doubt("tiles_not_judged", words, float(points)))
     if math.isnan(found.volume.sigma_m3):

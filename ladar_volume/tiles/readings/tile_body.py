@@ -18,10 +18,10 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles.readings.tile_outside import Region
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import near_stored_places, read, write
-from ladar_volume.tiles.tile_patch import SurfacePart, joined, rows_at
+from ladar_volume.tiles.tile_patch import joined, part_round, rows_at
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import surface_of
-from ladar_volume.tin.full_tin import any_corner, footprint_areas, places_in, vertex_mask
+from ladar_volume.tin.full_tin import footprint_areas, places_in, vertex_mask
 from ladar_volume.volume.field_checks.completeness import stands_on_faces, wall_doubts
 from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
 from ladar_volume.volume.field_checks.standing_objects import AROUND_M
@@ -73,16 +73,8 @@ def gathered(of: TiledCloud, region: Region, tiles: Sequence[Tile]) -> tuple[Tin
     parts, xy, rows = [], [], []
     for tile in tiles:
         s = surface_of(of.index, of.limits, tile)
-        marked, inside = (
-            read(region.rest, "body_around", tile),
-            read(region.outline, "inside", tile),
-        )
-        some = any_corner(s.tin.triangles, marked)
-        corners = np.unique(s.tin.triangles[some]).astype(np.int64)
-        triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
-        none, zero = np.zeros(len(triangles), np.bool_), np.zeros(len(corners))
-        own = s.own[corners]
-        parts.append(SurfacePart(s.tin.vertices[corners], triangles, zero, own, none, inside[some]))
+        marked = read(region.rest, "body_around", tile)
+        parts.append(part_round(s, read(region.outline, "inside", tile), marked))
         xy.append(s.tin.vertices[s.own])
         rows.append(s.row[s.own])
     patch, _ = joined(parts)

@@ -12,7 +12,7 @@ from ladar_volume.ground.polynomial import base_height, design
 from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_fit import VertexSelection, bins_of, chosen_of
+from ladar_volume.tiles.tile_fit import VertexSelection, chosen_of
 from ladar_volume.tiles.tile_outline import write
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile
@@ -62,19 +62,6 @@ def left_of(of: TiledCloud, tile: Tile, to: Higher, beta: F64) -> F64:
     return np.abs(e - to.design(xyz[:, :2]) @ beta)
 
 
-def left_bins(of: TiledCloud, tile: Tile, to: Higher, beta: F64) -> tuple[I64, I64]:
-    """Bins of these, and how many are in each."""
-    bins, count = np.unique(bins_of(left_of(of, tile, to, beta)), return_counts=True)
-    return bins, count.astype(np.int64)
-
-
-def left_in(of: TiledCloud, tile: Tile, to: Higher, beta: F64, low: int, high: int) -> F64:
-    """Those in bins from ``low`` to ``high``."""
-    left = left_of(of, tile, to, beta)
-    bins = bins_of(left)
-    return left[(bins >= low) & (bins <= high)]
-
-
 def weights_on(of: TiledCloud, tile: Tile, to: Higher, by_term: F64, grid: Squares) -> F64:
     """Weights ``X by_term``, m², of the points by squares, one after the other; then the sum of
     their squares, m⁴.
@@ -115,19 +102,6 @@ def sides_of(of: TiledCloud, tile: Tile, outline: Path | None) -> F64:
     surface = surface_of(of.index, of.limits, tile)
     rows = np.flatnonzero(inside_of(surface, tile, outline) & surface.counted)
     return np.asarray(longest_sides(surface.tin.vertices, surface.tin.triangles, rows))
-
-
-def side_bins(of: TiledCloud, tile: Tile, outline: Path | None) -> tuple[I64, I64]:
-    """Bins of these, and how many are in each."""
-    bins, count = np.unique(bins_of(sides_of(of, tile, outline)), return_counts=True)
-    return bins, count.astype(np.int64)
-
-
-def sides_in(of: TiledCloud, tile: Tile, outline: Path | None, low: int, high: int) -> F64:
-    """Those in bins from ``low`` to ``high``."""
-    side = sides_of(of, tile, outline)
-    bins = bins_of(side)
-    return side[(bins >= low) & (bins <= high)]
 
 
 def area_by_height(

@@ -32,7 +32,7 @@ from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tile_volume import Squares
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import OutlineFinder, TiledOutline
-from ladar_volume.tiles.tiled_ranks import bins_together, median_of_bins
+from ladar_volume.tiles.tiled_ranks import median_of_tiles
 from ladar_volume.uncertainty.ground_field import (
     Roughness,
     field_squares,
@@ -96,14 +96,9 @@ class Around:
         of = self.fitter.of
         return ask_merged(self.fitter.workers, of, op, [more] * len(of.tiles), added)
 
-    def median(self, bins: Callable[..., Any], values: Callable[..., F64], *more: object) -> float:
-        """The median of values that the tiles tell by bins; 0 for none."""
-        of = self.fitter.of
-        asked: list[tuple[object, ...]] = [more] * len(of.tiles)
-        found = ask_merged(self.fitter.workers, of, bins, asked, bins_together)
-        if not len(found[0]):
-            return 0.0
-        return median_of_bins(found, lambda low, high: self.each(values, *more, low, high))
+    def median(self, values: Callable[..., F64], *more: object) -> float:
+        """The median of what all tiles have; 0 for nothing."""
+        return median_of_tiles(self.fitter.workers, self.fitter.of, values, *more)
 
     def some(self, name: str, count: int, most: int) -> F64:
         """Places (k, 3) m of about so many of ``count`` vertices marked at rest under a name."""
@@ -168,7 +163,7 @@ def base_readings(around: Around, radius_m: float) -> BaseReadings | None:
         chance = chance_of(around, to, by_term, (low, high), rough)
         readings.append(Reading(f"a ground of degree {to.degree}", -float(by_term @ right), chance))
     through = Through(base, moments[: COEFFICIENTS[min(degree, 1)]], origin, scale, rough)
-    spread = 1.4826 * around.median(tile_support.left_bins, tile_support.left_in, to, beta)
+    spread = 1.4826 * around.median(tile_support.left_of, to, beta)
     for name, r in (
         (TOE_LINE, toe_points(around, radius_m)),
         (TERRACE, terrace_points(around, spread, radius_m)),
@@ -217,7 +212,7 @@ def toe_points(around: Around, radius_m: float) -> F64:
 def terrace_points(around: Around, spread_m: float, radius_m: float) -> F64:
     """Points (k, 3) m of a terrace within the outline; none where there is none."""
     outline, rest = around.found.folder, around.region.rest
-    usual = around.median(tile_support.side_bins, tile_support.sides_in, outline)
+    usual = around.median(tile_support.sides_of, outline)
     base = around.found.fit.plane
     search = TerraceSearch(outline, base, max(radius_m, SPARSE * usual))
     wide = WIDE_M * float(around.sums(border_length, outline))

@@ -26,7 +26,6 @@ from ladar_volume.clouds.between_points import (
     row_step,
     volume_by_block,
 )
-from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import OwnAxes, extent_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_batches import TiledCloud
@@ -42,7 +41,7 @@ from ladar_volume.tiles.tile_patch import (
     write_shares,
 )
 from ladar_volume.tiles.tile_stars import tile_stars
-from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_store import Tile, arrays_at_rest
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tiles.unseen.tile_spacing import KeptPoints
 from ladar_volume.tin.full_tin import first_corners, footprint_areas, places_in
@@ -153,15 +152,8 @@ class CoarserPart(NamedTuple):
 def coarser_of(kept: KeptPoints, tile: Tile) -> CoarserPart:
     """What a tile knows of the coarser surface, read where it is at rest, made where it is not."""
     path = kept.folder / "coarser" / f"{tile[0]}_{tile[1]}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return CoarserPart(*(file[name] for name in CoarserPart._fields))
-    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
-        made = make_coarser(kept, tile)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(path) as part, part.open("wb") as out:
-        np.savez(out, **made._asdict())
-    return made
+    found = arrays_at_rest(path, CoarserPart._fields, lambda: make_coarser(kept, tile)._asdict())
+    return CoarserPart(*found)
 
 
 def make_coarser(kept: KeptPoints, tile: Tile) -> CoarserPart:

@@ -12,7 +12,6 @@ from ladar_volume.ground.polynomial import base_height
 from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_fit import bins_of
 from ladar_volume.tiles.tile_outline import TileParts, parts_of, read, write
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile, TileIndex
@@ -64,19 +63,6 @@ def longest_edges(of: TiledCloud, tile: Tile, outline: Path | None) -> F64:
     inside = inside_of(surface, tile, outline) & surface.counted
     out: F64 = edge_lengths(surface.tin, inside).max(axis=1)
     return out
-
-
-def longest_bins(of: TiledCloud, tile: Tile, outline: Path | None) -> tuple[I64, I64]:
-    """Bins of these, ascending, and how many are in each."""
-    bins, count = np.unique(bins_of(longest_edges(of, tile, outline)), return_counts=True)
-    return bins, count.astype(np.int64)
-
-
-def longest_in(of: TiledCloud, tile: Tile, outline: Path | None, low: int, high: int) -> F64:
-    """Those in bins from ``low`` to ``high``."""
-    longest = longest_edges(of, tile, outline)
-    bins = bins_of(longest)
-    return longest[(bins >= low) & (bins <= high)]
 
 
 def wide_parts(of: TiledCloud, tile: Tile, asked: Spanned) -> WideParts:

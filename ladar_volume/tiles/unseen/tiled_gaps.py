@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from ladar_volume.model.records import F64, I64, Plane
-from ladar_volume.tiles.tile_batches import ask, ask_merged
+from ladar_volume.tiles.tile_batches import ask
 from ladar_volume.tiles.tile_store import digest
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tile_work import results
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels
-from ladar_volume.tiles.tiled_ranks import bins_together, median_of_bins
+from ladar_volume.tiles.tiled_ranks import median_of_tiles
 from ladar_volume.tiles.unseen import tile_gaps
 from ladar_volume.tiles.unseen.tile_gaps import GapTask, Spanned, WideParts
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
@@ -44,13 +44,7 @@ class GapFinder:
     def found(self) -> tuple[BridgedVolume, float] | None:
         """What the gaps do to the volume, and their area, m²; None where there are none."""
         of, workers = self.fitter.of, self.fitter.workers
-        same: list[tuple[object, ...]] = [(self.outline,)] * len(of.tiles)
-
-        def in_bins(low: int, high: int) -> list[F64]:
-            return ask(workers, of, tile_gaps.longest_in, [(*s, low, high) for s in same])
-
-        bins = ask_merged(workers, of, tile_gaps.longest_bins, same, bins_together)
-        usual = median_of_bins(bins, in_bins)
+        usual = median_of_tiles(workers, of, tile_gaps.longest_edges, self.outline)
         folder = surface_folder(of.index, of.limits) / f"gaps_{digest([str(self.outline)])}"
         asked = Spanned(self.outline, usual, self.rasters, folder)
         wide = ask(workers, of, tile_gaps.wide_parts, [(asked,)] * len(of.tiles))
