@@ -39,8 +39,23 @@ def yard(kind, seed, n=9000):
 
 def write_yard(path, kind, seed=1):
     """Write it; returns the path."""
+    return write_points(path, yard(kind, seed))
+
+
+def write_points(path, r):
+    """Write points (k, 3) m; returns the path."""
     las = laspy.LasData(laspy.LasHeader(point_format=1, version="1.2"))
     las.header.scales = [1e-3] * 3
-    las.x, las.y, las.z = yard(kind, seed).T
+    las.x, las.y, las.z = r.T
     las.write(path)
     return path
+
+
+def bent_site(seed, bend=1.0):
+    """Points (k, 3) m of a mound on ground that bends and undulates, or is flat."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, 80.0, (6000, 2))
+    along = xy[:, 0] - 40.0
+    z = 0.004 * along**2 * np.sign(along) + 0.3 * np.sin(xy[:, 0] / 6) * np.cos(xy[:, 1] / 7)
+    mound = 2.0 * np.exp(-((xy - 40.0) ** 2).sum(axis=1) / 30.0)
+    return np.c_[xy, bend * z + mound + rng.normal(0.0, 0.02, len(xy))]

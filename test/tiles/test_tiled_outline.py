@@ -1,8 +1,7 @@
 """Outline and ground that go on changing each other, by tiles."""
 
-import laspy
-import numpy as np
 import pytest
+from yards import bent_site, write_points
 
 from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.clouds.cloud_volume import above_base
@@ -16,24 +15,10 @@ from ladar_volume.tiles.tile_work import OwnProcess
 from ladar_volume.tiles.tiled_volume import VolumeTask, volume_by_tiles
 
 
-def bent(path, seed):
-    """A mound on ground that bends and undulates."""
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(0.0, 80.0, (6000, 2))
-    along = xy[:, 0] - 40.0
-    z = 0.004 * along**2 * np.sign(along) + 0.3 * np.sin(xy[:, 0] / 6) * np.cos(xy[:, 1] / 7)
-    mound = 2.0 * np.exp(-((xy - 40.0) ** 2).sum(axis=1) / 30.0)
-    las = laspy.LasData(laspy.LasHeader(point_format=1, version="1.2"))
-    las.header.scales = [1e-3] * 3
-    las.x, las.y, las.z = *xy.T, z + mound + rng.normal(0.0, 0.02, len(xy))
-    las.write(path)
-    return path
-
-
 def test_what_an_outline_that_does_not_settle_makes_is_that_of_one_process(tmp_path):
     moved = []
     for seed in range(4):
-        path = bent(tmp_path / f"{seed}.laz", seed)
+        path = write_points(tmp_path / f"{seed}.laz", bent_site(seed))
         options = SurfaceParameters(ratio=1.0, relevant="all")
         surface = cloud_surface(read_cloud(path).r, options, 0.02)
         base = above_base(surface, Parameters())[1]

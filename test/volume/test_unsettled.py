@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from yards import bent_site
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.parameters import Parameters
@@ -13,13 +14,7 @@ from ladar_volume.volume.field_checks.base_readings import doubted_m6, unsettled
 
 
 def site(seed, bend):
-    """A mound on ground that bends and undulates, or is flat."""
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(0.0, 80.0, (6000, 2))
-    along = xy[:, 0] - 40.0
-    z = 0.004 * along**2 * np.sign(along) + 0.3 * np.sin(xy[:, 0] / 6) * np.cos(xy[:, 1] / 7)
-    mound = 2.0 * np.exp(-((xy - 40.0) ** 2).sum(axis=1) / 30.0)
-    return build_tin(np.c_[xy, bend * z + mound + rng.normal(0.0, 0.02, len(xy))])
+    return build_tin(bent_site(seed, bend))
 
 
 def outlines(tin, monkeypatch):
