@@ -13,7 +13,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, robust_sigma
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_cover import MOST, growth_by_sectors
-from ladar_volume.clouds.sampling.thin_toe import ENOUGH, Outline, beyond_profile
+from ladar_volume.clouds.sampling.thin_toe import Outline, beyond_profile, step_of
 from ladar_volume.clouds.volume_verdict import with_growth_of, with_lines
 from ladar_volume.ground.heights import height_above
 from ladar_volume.model.parameters import VolumeParameters
@@ -32,11 +32,12 @@ from ladar_volume.volume.field_checks.standing_objects import AROUND_M
 
 class Edge(NamedTuple):
     """toe_m3 : what a thin toe holds beyond the outline · open_share : of the outline, on the edge
-    of what was sampled
+    of what was sampled · centre : (2,) m, of the vertices inside
     """
 
     toe_m3: float
     open_share: float
+    centre: F64
 
 
 def edge_of(around: Around) -> Edge:
@@ -45,18 +46,15 @@ def edge_of(around: Around) -> Edge:
     found = around.each(tile_outside.border_sides, outline)
     sides = np.concatenate([ends for ends, _ in found])
     closed, beyond, area = np.sum([facts for _, facts in found], axis=0).tolist()
-    xyz = inside_points(around, -math.inf, "inside_vertices")
+    name = "inside_vertices"
+    inside = around.sums(tile_outside.inside_vertices, around.region, -math.inf, name)
+    count = int(inside[0])
+    xyz = around.every(name, count, step_of(count))
     line = Outline(sides[:, :2], sides[:, 2:], closed, area)
     height = height_above(xyz, around.found.fit.plane)
     toe = beyond_profile(line, xyz[:, :2], height)
-    return Edge(toe, beyond / (closed + beyond) if closed + beyond > 0.0 else 0.0)
-
-
-def inside_points(around: Around, rise_m: float, name: str) -> F64:
-    """Places (k, 3) m of some vertices inside the outline that rise more above the ground."""
-    facts = around.each(tile_outside.inside_vertices, around.region, rise_m, name)
-    count = int(sum(f[0] for f in facts))
-    return around.every(name, count, max(1, count // ENOUGH))
+    share = beyond / (closed + beyond) if closed + beyond > 0.0 else 0.0
+    return Edge(toe, share, inside[1:] / count)
 
 
 def with_edge(volume: CloudVolume, edge: Edge) -> CloudVolume:
@@ -64,9 +62,9 @@ def with_edge(volume: CloudVolume, edge: Edge) -> CloudVolume:
     return with_lines(volume, {"toe": edge.toe_m3**2}) if edge.toe_m3**2 > 0.0 else volume
 
 
-def completeness(around: Around, volume: CloudVolume, scatter_m: float) -> JudgedBody:
+def completeness(around: Around, volume: CloudVolume, scatter_m: float, centre: F64) -> JudgedBody:
     """Whether the body is cut, whether walls or further bodies stand by, and whether the ground is
-    on one side only. scatter_m : of its points
+    on one side only. scatter_m : of its points · centre : (2,) m, of its vertices
     """
     v, judged = around.finder.parameters.volume, JudgedBody([], {})
     boxes = around.found.boxes
@@ -88,7 +86,7 @@ def completeness(around: Around, volume: CloudVolume, scatter_m: float) -> Judge
         task = BodyTask(around.region, tiles, parameters, volume.sigma_m3, size, scatter)
         (judged,) = each_result(around.fitter.workers, partial(judged_body, of), [task])
     further = [] if v.bodies == 0 else further_bodies(around, v, volume.sigma_m3)
-    return JudgedBody([*judged.doubts, *further, *one_sided(around)], judged.lines)
+    return JudgedBody([*judged.doubts, *further, *one_sided(around, centre)], judged.lines)
 
 
 def further_bodies(around: Around, v: VolumeParameters, sigma_m3: float) -> list[Doubt]:
@@ -111,10 +109,8 @@ def further_bodies(around: Around, v: VolumeParameters, sigma_m3: float) -> list
     return further_doubts(found, v.object_height_m)
 
 
-def one_sided(around: Around) -> list[Doubt]:
-    """The ground lies on one side only."""
-    facts = around.sums(tile_outside.inside_vertices, around.region, -math.inf, "inside_vertices")
-    centre = facts[1:] / facts[0]
+def one_sided(around: Around, centre: F64) -> list[Doubt]:
+    """The ground lies on one side only of a centre (2,) m."""
     chosen = around.found.fit.chosen
     return one_sided_doubts(around.sums(tile_outside.support_directions, chosen, centre))
 

@@ -90,7 +90,7 @@ def above_ground(
     doubts += unsettled(around.found.fit.plane, volume.sigma_m3)
     body = body_scatter(around, v.object_height_m)
     if by_body:
-        judged = completeness(around, volume, body.scatter_m)
+        judged = completeness(around, volume, body.scatter_m, edge.centre)
         doubts += judged.doubts
         volume = with_lines(volume, judged.lines) if judged.lines else volume
     volume, more = with_growth(around, with_readings(volume, readings, doubts), body)
