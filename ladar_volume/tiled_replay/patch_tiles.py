@@ -12,7 +12,7 @@ import numpy as np
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.errors import InputError, LadarVolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import I64, Bool, FilteredPoints, FilterUpdate, Patches
+from ladar_volume.model.records import I64, Bool, FilteredPoints, Patches
 from ladar_volume.rmls.tile_filter import TileFilter, TilePatches
 from ladar_volume.tiled_replay.return_store import TileRows, read_returns, within_tile
 from ladar_volume.tiles.tile_store import Tile
@@ -127,8 +127,3 @@ def read_patches(task: TileTask) -> TilePatches | None:
     except Exception as error:  # a damaged archive fails anywhere inside zipfile and NumPy
         words = f"{task.path}: missing or damaged ({error})"
         raise InputError(words, reason="input_damaged", value=str(task.path)) from error
-
-
-def update_of(found: TilePatches, t_ns: int) -> FilterUpdate:
-    """A tile as a part of the one update that all tiles are."""
-    return FilterUpdate(t_ns, np.zeros(0, np.int64), found.points, found.patches, complete=False)

@@ -17,7 +17,7 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import Datum, Estimate
 from ladar_volume.replay import NEVER, Replay
 from ladar_volume.rmls.tile_filter import TilePatches
-from ladar_volume.tiled_replay.patch_tiles import TileTask, filter_tile, read_patches, update_of
+from ladar_volume.tiled_replay.patch_tiles import TileTask, filter_tile, read_patches
 from ladar_volume.tiled_replay.return_store import LAYOUT, TileRows, voxels_of_side
 from ladar_volume.tiled_replay.time_pieces import (
     PIECE_S,
@@ -27,6 +27,7 @@ from ladar_volume.tiled_replay.time_pieces import (
     georeference_piece,
     pieces_of,
 )
+from ladar_volume.tiled_replay.whole_surface import WholeSurface
 from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_work import Workers, results
 from ladar_volume.version import version
@@ -179,15 +180,13 @@ class TiledReplay:
         self._with_repair(
             recorded, lambda: results(self.work.workers, filter_tile, longest, report)
         )
-        counts = dict.fromkeys(("voxels", "kept", "outliers", "unfitted", "patches"), 0)
         newest = max((piece.newest_ns for piece in pieces), default=0)
-        for task in tasks:
-            found = self._with_repair(recorded, partial(self._read, task))
-            if found is not None:
-                replay.engine.estimator.add(update_of(found, newest))
-                for name in ("voxels", "kept", "outliers", "unfitted"):
-                    counts[name] += getattr(found, name)
-                counts["patches"] += len(found.patches)
+        readers = [partial(self._read, recorded, task) for task in tasks]
+        whole = WholeSurface(readers, recorded.folder)
+        if whole.points is not None and whole.patches is not None:
+            replay.engine.estimator.hold(whole.points, whole.patches, newest)
+        replay.engine.estimator.losses.merge(whole.losses)
+        counts = whole.counts
         replay.losses.add("point_outlier", counts["outliers"])
         replay.losses.add("point_few_neighbours", counts["unfitted"])
         replay.counts = {
@@ -231,9 +230,14 @@ class TiledReplay:
         }
         return tasks
 
-    def _read(self, task: TileTask) -> TilePatches | None:
-        results(self.work.workers, filter_tile, [task], lambda tile: None)
-        return read_patches(task)
+    def _read(self, recorded: RecordedSurvey, task: TileTask) -> TilePatches | None:
+        """The patches of a tile; made again where they are damaged."""
+
+        def made() -> TilePatches | None:
+            results(self.work.workers, filter_tile, [task], lambda tile: None)
+            return read_patches(task)
+
+        return self._with_repair(recorded, made)
 
     def _with_repair(self, recorded: RecordedSurvey, action: Callable[[], B]) -> B:
         """The result of an action that reads what is at rest; what is damaged is made anew, once

@@ -106,6 +106,15 @@ def points_finite(points: FilteredPoints) -> Bool:
     return out
 
 
+def usable_points(points: FilteredPoints, keys: I64, losses: Losses) -> FilteredPoints:
+    """Finite points on patches with keys (m,); the others are counted as losses."""
+    finite = points_finite(points)
+    owned = np.isin(points.patch, keys)
+    losses.add("point_nan", int(np.count_nonzero(~finite)))
+    losses.add("point_without_patch", int(np.count_nonzero(finite & ~owned)))
+    return select(points, finite & owned)
+
+
 class HeldUpdate(NamedTuple):
     """An update that waits to be merged: as :class:`FilterUpdate`, its patches as they are held."""
 
@@ -140,9 +149,13 @@ class PatchStore:
         self._merge()
         return self._points
 
+    def hold(self, points: FilteredPoints, patches: HeldPatches) -> None:
+        """Take a whole surface, by key, in place of what there is."""
+        self._pending, self._points, self._patches = [], points, patches
+
     def replace(self, update: FilterUpdate) -> None:
         """Forget what the update removes or replaces, then add its patches and points."""
-        points = self._usable(update.points, update.patches.key)
+        points = usable_points(update.points, update.patches.key, self.losses)
         held = prepare_patches(update.patches)
         self._pending.append(HeldUpdate(update.removed, points, held, update.complete))
         if update.complete and sum(len(pending.patches) for pending in self._pending) > PENDING:
@@ -163,7 +176,8 @@ class PatchStore:
                 [HeldUpdate(np.zeros(0, np.int64), self._points, self._patches, True), *updates],
                 [0, *turns],
             )
-        last = LatestUpdate(updates, turns)
+        words = [np.union1d(update.removed, update.patches.key) for update in updates]
+        last = LatestUpdate(words, turns)
         points, patches = (
             Parts([update.points for update in updates]),
             Parts([update.patches for update in updates]),
@@ -177,22 +191,16 @@ class PatchStore:
         self._points = merged_points(points, turns, last)
         self._patches = merged_patches(patches, turns, last)
 
-    def _usable(self, points: FilteredPoints, keys: I64) -> FilteredPoints:
-        finite = points_finite(points)
-        owned = np.isin(points.patch, keys)
-        self.losses.add("point_nan", int(np.count_nonzero(~finite)))
-        self.losses.add("point_without_patch", int(np.count_nonzero(finite & ~owned)))
-        return select(points, finite & owned)
-
 
 class LatestUpdate:
     """Which update was the last to say anything of a patch. keys, turns : of the patches ever
     named, ascending, then one that is none.
     """
 
-    def __init__(self, updates: list[HeldUpdate], turns: list[int]) -> None:
-        """turns : number of each of these updates, rising; parts of one have the same."""
-        words = [np.union1d(update.removed, update.patches.key) for update in updates]
+    def __init__(self, words: list[I64], turns: list[int]) -> None:
+        """words : keys of the patches that each update names · turns : number of each, rising;
+        parts of one have the same.
+        """
         keys, turn = np.concatenate(words), np.repeat(turns, [len(word) for word in words])
         order = np.lexsort((turn, keys))
         last = order[np.append(keys[order][1:] != keys[order][:-1], True)] if len(keys) else order

@@ -21,6 +21,7 @@ from ladar_volume.model.records import (
     Estimate,
     FilteredPoints,
     FilterUpdate,
+    HeldPatches,
     PatchTable,
     Plane,
     PlatformStates,
@@ -129,8 +130,17 @@ class VolumeEstimator:
         self.store.replace(update)
         self.losses.merge(self.store.losses)
         self.store.losses = Losses()
-        self._t_ns = max(self._t_ns, update.t_ns)
-        self._newest_bin = max(self._newest_bin, int(update.patches.nav_bin.max(initial=-1)))
+        self._heard(update.t_ns, update.patches)
+
+    def hold(self, points: FilteredPoints, patches: HeldPatches, t_ns: int) -> None:
+        """A whole surface, by key, in place of what there is. t_ns : time of its newest return"""
+        self._surface_now = self._sources_now = self._main = None
+        self.store.hold(points, patches)
+        self._heard(t_ns, patches)
+
+    def _heard(self, t_ns: int, patches: PatchTable) -> None:
+        self._t_ns = max(self._t_ns, t_ns)
+        self._newest_bin = max(self._newest_bin, int(patches.nav_bin.max(initial=-1)))
 
     @property
     def awaits_path(self) -> bool:

@@ -1,0 +1,148 @@
+"""The surface of all tiles as one table of patches, in files that the system reads as needed.
+
+The estimate of a survey needs every patch, but little of it at a time: cross blocks and
+sensitivities, nine tenths of a patch, are passed once for a result. They lie in files that have no
+name any more, so that they are gone with the process, however it ends.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.io.atomic_write import unwritable
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.records import I64, FilteredPoints, HeldPatches, Patches
+from ladar_volume.rmls.tile_filter import TilePatches
+from ladar_volume.tiled_replay.patch_tiles import COUNTS
+from ladar_volume.uncertainty.packing import block_kernel, prepare_patches
+from ladar_volume.uncertainty.patch_table import (
+    HELD,
+    ROWS,
+    LatestUpdate,
+    Parts,
+    merged_points,
+    ragged_index,
+    usable_points,
+)
+
+#: Arrays with a row for each time bin of a patch.
+BINS = ("nav_bin", "M_nav", "nav_residual")
+
+#: Reads what one tile gives, None for a halo alone.
+Reader = Callable[[], TilePatches | None]
+
+
+def file_array(folder: Path, shape: tuple[int, ...], like: npt.DTypeLike) -> npt.NDArray[Any]:
+    """An array in a file of that folder without a name. The room is taken at once: a disk that is
+    full later would end the process. Raises :class:`OutputError`.
+    """
+    dtype = np.dtype(like)
+    size = int(np.prod(shape)) * dtype.itemsize
+    if not size:
+        return np.zeros(shape, dtype)
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+            held = mmap.mmap(file.fileno(), size)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    return np.frombuffer(held, dtype).reshape(shape)
+
+
+class WholeSurface:
+    """Points and patches of all tiles, as :class:`PatchStore` would hold them: by key.
+
+    Every patch and every pair of patches belongs to one tile, with its lower key.
+    """
+
+    def __init__(self, readers: Sequence[Reader], folder: Path) -> None:
+        """readers : called three times each, in turn · folder : for the files. Raises what they
+        raise, and :class:`OutputError` for a full disk.
+        """
+        self._readers, self._folder = readers, folder
+        self._made: dict[str, npt.NDArray[Any]] = {}
+        self.losses = Losses()
+        self.counts = dict.fromkeys((*COUNTS, "patches"), 0)
+        self.points, keys, blocks, bins = self._first_pass()
+        order = np.argsort(keys, kind="stable")
+        self._place = np.empty(len(keys), np.int64)
+        self._place[order] = np.arange(len(keys))
+        self._blocks, self._bins = starts_of(blocks[order]), starts_of(bins[order])
+        self._each(self._take_rows)
+        self._each(self._take_blocks)
+
+    @property
+    def patches(self) -> HeldPatches | None:
+        """All patches; None where there are none."""
+        if not self._made:
+            return None
+        return HeldPatches(cross_start=self._blocks, nav_start=self._bins, **self._made)
+
+    def _first_pass(self) -> tuple[FilteredPoints | None, I64, I64, I64]:
+        """The points, by patch; keys (m,) of the patches as the tiles have them, and how many
+        blocks and time bins each has.
+        """
+        points, keys, none = [], [], np.zeros(0, np.int64)
+        blocks, bins = [none], [none]
+        for reader in self._readers:
+            found = reader()
+            if found is None:
+                continue
+            points.append(usable_points(found.points, found.patches.key, self.losses))
+            keys.append(found.patches.key)
+            blocks.append(np.diff(found.patches.cross_start))
+            bins.append(np.diff(found.patches.nav_start))
+            for name in COUNTS:
+                self.counts[name] += getattr(found, name)
+            self.counts["patches"] += len(found.patches)
+        key = np.concatenate([none, *keys])
+        turns = [1] * len(points)
+        merged = merged_points(Parts(points), turns, LatestUpdate(keys, turns)) if points else None
+        return merged, key, np.concatenate(blocks), np.concatenate(bins)
+
+    def _each(self, take: Callable[[Patches, I64], None]) -> None:
+        """Hand over the patches of each tile, and their places (k,) among all."""
+        first = 0
+        for reader in self._readers:
+            found = reader()
+            if found is not None and len(found.patches):
+                last = first + len(found.patches)
+                take(found.patches, self._place[first:last])
+                first = last
+
+    def _take_rows(self, patches: Patches, place: I64) -> None:
+        """What each patch has of its own."""
+        held = prepare_patches(patches)
+        bins = ragged_index(self._bins, place)
+        for name in (*ROWS, *HELD):
+            self._rows_of(name, len(self._place), getattr(held, name))[place] = getattr(held, name)
+        for name in BINS:
+            self._rows_of(name, self._bins[-1], getattr(held, name))[bins] = getattr(held, name)
+
+    def _take_blocks(self, patches: Patches, place: I64) -> None:
+        """What each patch shares with those of higher keys; all factors are known."""
+        other, at = patches.cross_key, ragged_index(self._blocks, place)
+        keys, factor = self._made["key"], self._made["factor"]
+        packed = block_kernel(patches.key, patches.cross_start, other, patches.cross, keys, factor)
+        self._rows_of("cross_key", self._blocks[-1], other)[at] = other
+        self._rows_of("cross", self._blocks[-1], packed)[at] = packed
+
+    def _rows_of(self, name: str, rows: int, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The array of that name, of so many rows like those given."""
+        if name not in self._made:
+            shape = (rows, *like.shape[1:])
+            self._made[name] = file_array(self._folder, shape, like.dtype)
+        return self._made[name]
+
+
+def starts_of(count: I64) -> I64:
+    """Begin (m + 1,) of each of ragged rows, from how many each has (m,)."""
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
