@@ -166,6 +166,18 @@ def gap_surface(
     return number, gap_at(at.corners, places, seen_around(of, at, places[0], places[1]))
 
 
+def points_in(of: TiledCloud, stretch: Stretch, margin_m: float) -> F64 | None:
+    """The points (n, 3) m in a rectangle, or within a margin of it; None where they are too many."""
+    found, count = [np.zeros((0, 3))], 0
+    for tile in tiles_near(of.index, stretch, margin_m):
+        xyz = used_of(of.index, of.limits, tile)[0]
+        found.append(xyz[stretch.holds(xyz[:, :2], margin_m)])
+        count += len(found[-1])
+        if count > MOST_AROUND:
+            return None
+    return np.concatenate(found)
+
+
 def seen_around(of: TiledCloud, at: GapTask, xy: F64, weight: F64) -> ObservedPoints | None:
     """All points that the surface of a gap of places (k, 2) m with areas (k,) m² may be told from;
     None where these are too many.
@@ -174,11 +186,9 @@ def seen_around(of: TiledCloud, at: GapTask, xy: F64, weight: F64) -> ObservedPo
     least = AWAY * size + max(REACH * size, SPACINGS * at.usual_m) + FILLED * at.usual_m
     stretch, margin = Stretch.of(at.corners[:, :, :2].reshape(-1, 2)), 1.01 * least
     while True:
-        tiles = tiles_near(of.index, stretch, margin)
-        if sum(of.index.count[t] for t in tiles) > MOST_AROUND:
+        r = points_in(of, stretch, margin)
+        if r is None:
             return None
-        found = [used_of(of.index, of.limits, tile)[0] for tile in tiles]
-        r = np.concatenate([xyz[stretch.holds(xyz[:, :2], margin)] for xyz in found])
         r[:, 2] -= base_height(at.base, r[:, :2])
         # the mean of several points has less, as in one process: too much by next to nothing
         seen = ObservedPoints.of(r, np.full(len(r), at.sigma_m**2), at.usual_m)
