@@ -167,7 +167,7 @@ def gap_surface(
 
 
 def points_in(of: TiledCloud, stretch: Stretch, margin_m: float) -> F64 | None:
-    """The points (n, 3) m in a rectangle, or within a margin of it; None where they are too many."""
+    """The points (n, 3) m in a rectangle, or a margin around it; None where they are too many."""
     found, count = [np.zeros((0, 3))], 0
     for tile in tiles_near(of.index, stretch, margin_m):
         xyz = used_of(of.index, of.limits, tile)[0]
