@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.errors import InputError, LadarVolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import I64, Bool, FilteredPoints, Patches
 from ladar_volume.rmls.tile_filter import TileFilter, TilePatches
 from ladar_volume.tiled_replay.return_store import TileRows, read_returns, within_tile
+from ladar_volume.tiles.array_file import ENDING, read_arrays, write_arrays
 from ladar_volume.tiles.tile_store import Tile
 
 #: Bytes of a slot of a voxel, of the fit of one and of a patch with its blocks while they are made.
@@ -49,7 +49,7 @@ class TileTask:
     @property
     def path(self) -> Path:
         """Where its patches are at rest."""
-        return self.folder / "patches" / f"{self.tile[0]}_{self.tile[1]}.npz"
+        return self.folder / "patches" / f"{self.tile[0]}_{self.tile[1]}{ENDING}"
 
     @property
     def rows(self) -> int:
@@ -78,9 +78,7 @@ def filter_tile(task: TileTask) -> Tile:
         return task.tile
     try:
         found = patches_of_tile(task)
-        task.path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(task.path) as path:
-            write_patches(path, found)
+        write_patches(task.path, found)
     except LadarVolumeError as error:
         raise type(error)(
             f"{task.words}: {error}", reason=error.reason, value=error.value
@@ -110,20 +108,19 @@ def write_patches(path: Path, found: TilePatches | None) -> None:
         arrays |= {f"points_{name}": array for name, array in vars(found.points).items()}
         arrays |= {f"patches_{name}": array for name, array in vars(found.patches).items()}
         arrays["counts"] = np.array([getattr(found, name) for name in COUNTS])
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def read_patches(task: TileTask) -> TilePatches | None:
     """What a tile gives. Raises :class:`InputError` (input_damaged) for a damaged file."""
+    found = read_arrays(task.path)
+    if not found:
+        return None
     try:
-        with np.load(task.path, allow_pickle=False) as file:
-            if not file.files:
-                return None
-            names = {kind: [f.name for f in dataclasses.fields(kind)] for kind in KINDS}
-            points = FilteredPoints(**{n: file[f"points_{n}"] for n in names[FilteredPoints]})
-            patches = Patches(**{n: file[f"patches_{n}"] for n in names[Patches]})
-            return TilePatches(points, patches, *(int(n) for n in file["counts"]))
-    except Exception as error:  # a damaged archive fails anywhere inside zipfile and NumPy
+        names = {kind: [f.name for f in dataclasses.fields(kind)] for kind in KINDS}
+        points = FilteredPoints(**{n: found[f"points_{n}"] for n in names[FilteredPoints]})
+        patches = Patches(**{n: found[f"patches_{n}"] for n in names[Patches]})
+        return TilePatches(points, patches, *found["counts"].tolist())
+    except (KeyError, TypeError) as error:
         words = f"{task.path}: missing or damaged ({error})"
         raise InputError(words, reason="input_damaged", value=str(task.path)) from error

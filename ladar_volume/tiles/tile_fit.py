@@ -15,6 +15,7 @@ from ladar_volume.ground.polynomial import (
     design_surface,
 )
 from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.tiles.array_file import read
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import used_of
@@ -51,7 +52,7 @@ def vertices(of: TiledCloud, tile: Tile, ring: Path | None = None) -> tuple[F64,
     """
     xyz, shared, row = used_of(of.index, of.limits, tile)
     if ring is not None:
-        some = np.load(ring / f"{tile[0]}_{tile[1]}.npy", allow_pickle=False)
+        some = read(ring.parent, ring.name, tile)
         xyz, shared, row = xyz[some], shared[some], row[some]
     return xyz, shared, row
 

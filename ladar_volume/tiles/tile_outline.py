@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.ground.heights import height_above
-from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
@@ -49,24 +49,6 @@ def parts_of(surface: TileSurface, label: I64, total: F64) -> TileParts:
     order = np.lexsort((xy[..., 1], xy[..., 0]), axis=1)
     corners = np.take_along_axis(xy, order[..., None], axis=1).reshape(-1, 6)
     return TileParts(len(total), corners, label[shared], total)
-
-
-def at_rest(folder: Path, name: str, tile: Tile) -> Path:
-    """Where an array of a tile is at rest."""
-    return folder / name / f"{tile[0]}_{tile[1]}.npy"
-
-
-def write(folder: Path, name: str, tile: Tile, values: np.ndarray) -> None:
-    """Write an array of a tile, whole or not at all."""
-    path = at_rest(folder, name, tile)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(path) as part, part.open("wb") as file:
-        np.save(file, values, allow_pickle=False)
-
-
-def read(folder: Path, name: str, tile: Tile) -> np.ndarray:
-    """Read it."""
-    return np.asarray(np.load(at_rest(folder, name, tile), allow_pickle=False))
 
 
 def rising_parts(

@@ -14,8 +14,9 @@ import numpy.typing as npt
 from ladar_volume.clouds.given_faces import neighbours_of
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_outline import Box, read, write
+from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_stars import TilePoints
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of, surface_path

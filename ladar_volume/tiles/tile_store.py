@@ -9,6 +9,7 @@ are never taken for these.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -22,16 +23,16 @@ from typing import TypeAlias
 import laspy
 import numpy as np
 
-from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.io.pointfiles.geokeys import coordinates_of_records
 from ladar_volume.io.pointfiles.las import MARKS, check_las_header, place_of_points
 from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
-from ladar_volume.model.errors import CloudError, ConfigurationError, InputError, short_repr
+from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tiles.array_file import ENDING, read_arrays, write_arrays
 from ladar_volume.tiles.tile_places import places_and_rows
 
 #: Points read at a time: about 100 bytes each while they are sorted.
@@ -39,7 +40,7 @@ PART = 1_000_000
 #: Kinds of file that can be read from the middle.
 ENDINGS = (".las", ".laz")
 #: Layout of the archives; another number makes another folder.
-LAYOUT = 2
+LAYOUT = 3
 #: Farthest tile from the origin, in tiles: names stay whole numbers.
 FARTHEST = 2**40
 
@@ -69,7 +70,7 @@ class CloudParts:
 
     def archive(self, k: int) -> Path:
         """Where part k is at rest."""
-        return self.folder / "parts" / f"{k:06d}.npz"
+        return self.folder / "parts" / f"{k:06d}{ENDING}"
 
 
 def parts_of_file(
@@ -169,16 +170,13 @@ def distribute_part(cloud: CloudParts, k: int) -> Path:
     places = np.split(order.astype(np.int32), new[1:]) if len(new) else []
     for (i, j), place in zip(cells[new].tolist(), places, strict=True):
         arrays[f"row_{i}_{j}"] = place
-    archive.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(archive) as path, path.open("wb") as file:
-        np.savez(
-            file,
-            cells=cells[new],
-            counts=np.array([len(own) for own in rows], np.int64),
-            boxes=np.array(boxes).reshape(-1, 4),
-            notes=np.array(json.dumps(notes)),
-            **arrays,  # type: ignore[arg-type]
-        )
+    of_all = {
+        "cells": cells[new],
+        "counts": np.array([len(own) for own in rows], np.int64),
+        "boxes": np.array(boxes).reshape(-1, 4),
+        "notes": np.array(json.dumps(notes)),
+    }
+    write_arrays(archive, of_all | arrays)
     return archive
 
 
@@ -228,7 +226,7 @@ class TileIndex:
         """One of both: neighbours ask for them often, so they are sorted once. Made anew where they
         are not at rest or are damaged.
         """
-        path = self.cloud.folder / "places" / f"{tile[0]}_{tile[1]}.npz"
+        path = self.cloud.folder / "places" / f"{tile[0]}_{tile[1]}{ENDING}"
 
         def made() -> dict[str, np.ndarray]:
             found = places_and_rows(self.points(tile), self.rows(tile))
@@ -241,24 +239,19 @@ def arrays_at_rest(
     path: Path, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]
 ) -> list[np.ndarray]:
     """Some of the arrays of an archive; all are made anew where it is missing or damaged."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return [np.asarray(file[name]) for name in names]
-    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
-        made = make()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(path) as part, part.open("wb") as out:
-        np.savez(out, **made)  # type: ignore[arg-type]
+    with contextlib.suppress(InputError):
+        return list(read_arrays(path, names).values())
+    made = make()
+    write_arrays(path, made)
     return [made[name] for name in names]
 
 
 def member(archive: Path, name: str) -> np.ndarray:
     """One array of an archive. Raises :class:`InputError` for one that is damaged."""
     try:
-        with np.load(archive, allow_pickle=False) as file:
-            return np.asarray(file[name])
-    except Exception as error:  # a damaged archive fails anywhere inside zipfile and NumPy
-        words = f"{archive}: missing or damaged ({short_repr(error)}): delete it and run again"
+        return read_arrays(archive, (name,))[name]
+    except InputError as error:
+        words = f"{error}: delete it and run again"
         raise InputError(words, reason="input_unreadable", value=str(archive)) from error
 
 

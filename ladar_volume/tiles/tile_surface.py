@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.io.atomic_write import atomic_file
+from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tiles.array_file import ENDING, Array, read_arrays, write_arrays
 from ladar_volume.tiles.tile_stars import TileStars, tile_stars
 from ladar_volume.tiles.tile_store import Tile, TileIndex, digest
 from ladar_volume.tin.full_tin import places_in
@@ -63,36 +65,33 @@ def surface_folder(index: TileIndex, limits: Limits) -> Path:
 
 def surface_path(index: TileIndex, limits: Limits, tile: Tile) -> Path:
     """Where the surface of a tile is at rest."""
-    return surface_folder(index, limits) / f"{tile[0]}_{tile[1]}.npz"
+    return surface_folder(index, limits) / f"{tile[0]}_{tile[1]}{ENDING}"
 
 
 def surface_of(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
     """The surface of a tile, read where it is at rest; made anew where it is not or is damaged."""
     path = surface_path(index, limits, tile)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            tin = Tin(*(file[n] for n in ARRAYS))
-            shared, own, counted = file["shared"], file["own"], file["counted"]
-            points, rounds = (int(n) for n in file["counts"])
-            return TileSurface(tin, shared, own, counted, tin.source, points, rounds)
-    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
-        made = make_surface(index, limits, tile)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(InputError):
+        found = read_arrays(path)
+        vertices, triangles, neighbours, relevant, row = (found[n] for n in ARRAYS)
+        tin = Tin(vertices, triangles, neighbours, relevant, row)
+        points, rounds = found["counts"].tolist()
+        shared, own, counted = (found[n] for n in ("shared", "own", "counted"))
+        return TileSurface(tin, shared, own, counted, row, points, rounds)
+    made = make_surface(index, limits, tile)
     tin = made.tin
-    with atomic_file(path) as part, part.open("wb") as out:
-        np.savez(
-            out,
-            vertices=tin.vertices,
-            triangles=tin.triangles,
-            neighbours=tin.neighbours,
-            relevant=tin.relevant,
-            row=made.row,
-            shared=made.shared,
-            own=made.own,
-            counted=made.counted,
-            counts=np.array([made.points, made.rounds]),
-            **dict(zip(USED, of_used(made), strict=True)),  # type: ignore[arg-type]
-        )
+    arrays: dict[str, Array] = {
+        "vertices": tin.vertices,
+        "triangles": tin.triangles,
+        "neighbours": tin.neighbours,
+        "relevant": tin.relevant,
+        "row": made.row,
+        "shared": made.shared,
+        "own": made.own,
+        "counted": made.counted,
+        "counts": np.array([made.points, made.rounds]),
+    }
+    write_arrays(path, arrays | dict(zip(USED, of_used(made), strict=True)))
     return made
 
 
@@ -104,12 +103,10 @@ def of_used(made: TileSurface) -> tuple[F64, F64, I64]:
 
 def used_of(index: TileIndex, limits: Limits, tile: Tile) -> tuple[F64, F64, I64]:
     """:func:`of_used` of the surface of a tile at rest."""
-    try:
-        with np.load(surface_path(index, limits, tile), allow_pickle=False) as file:
-            xyz, shared, row = (file[n] for n in USED)
-            return xyz, shared, row
-    except Exception:  # missing, or damaged anywhere inside zipfile and NumPy
-        return of_used(surface_of(index, limits, tile))
+    with contextlib.suppress(InputError):
+        xyz, shared, row = read_arrays(surface_path(index, limits, tile), USED).values()
+        return xyz, shared, row
+    return of_used(surface_of(index, limits, tile))
 
 
 def make_surface(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:

@@ -84,7 +84,7 @@ def test_a_search_on_some_of_the_points_takes_the_same_ones(tmp_path, monkeypatc
         monkeypatch.setattr(module, "SEARCHED_POINTS", 150)
     path = yard(tmp_path / "yard.laz", 5000, 4)
     found = both(path, tmp_path / "store", 28.0)
-    for damaged in (found.index.cloud.folder).glob("surface_*/*.npz"):
+    for damaged in (found.index.cloud.folder).glob("surface_*/*.arrays"):
         damaged.write_bytes(damaged.read_bytes()[:-500])
     assert both(path, tmp_path / "store", 28.0).volume == found.volume
 

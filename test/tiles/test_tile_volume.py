@@ -18,6 +18,7 @@ from tiled_clouds import (
 
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
+from ladar_volume.tiles.array_file import read_arrays, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_patch import patch_of
 from ladar_volume.tiles.tile_store import parts_of_file, tile_index
@@ -90,8 +91,7 @@ def test_what_is_done_is_not_done_again_and_what_is_damaged_is_told(tmp_path):
     assert [path.stat().st_mtime_ns for path in others] == done
     archive = found.index.cloud.archive(2)
     good = archive.read_bytes()
-    with np.load(archive) as arrays:
-        np.savez(archive, **{**arrays, "notes": np.array("[1]")})
+    write_arrays(archive, read_arrays(archive) | {"notes": np.array("[1]")})
     with pytest.raises(InputError, match="damaged notes"):
         by_tiles(path, tmp_path / "store", 20.0, part=1000)
     archive.write_bytes(good[:-3000])

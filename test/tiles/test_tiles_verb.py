@@ -62,7 +62,7 @@ def test_errors_are_one_line(cloud, tmp_path, capsys):
 
 def test_a_damaged_store_is_one_line(cloud, capsys):
     assert main(words(cloud)) == 0
-    (part,) = cloud.with_name(f"{cloud.name}.tiles").rglob("000000.npz")
+    (part,) = cloud.with_name(f"{cloud.name}.tiles").rglob("000000.arrays")
     part.write_bytes(part.read_bytes()[:-2_000])
     capsys.readouterr()
     assert main(words(cloud)) == 2

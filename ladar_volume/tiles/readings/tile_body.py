@@ -15,9 +15,10 @@ from ladar_volume.clouds.volume_verdict import missing_lines
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.readings.tile_outside import Region
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_outline import near_stored_places, read, write
+from ladar_volume.tiles.tile_outline import near_stored_places
 from ladar_volume.tiles.tile_patch import joined, part_round, rows_at
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import surface_of

@@ -11,9 +11,10 @@ import numpy as np
 from ladar_volume.ground.heights import height_above
 from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import VertexSelection, vertices
-from ladar_volume.tiles.tile_outline import Box, near_stored_places, read, write, write_vertices
+from ladar_volume.tiles.tile_outline import Box, near_stored_places, write_vertices
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import surface_of, used_of
@@ -45,7 +46,7 @@ def support_of(of: TiledCloud, tile: Tile, chosen: VertexSelection) -> Bool:
     out = np.zeros(len(xyz), np.bool_)
     some = np.arange(len(xyz))
     if chosen.ring is not None:
-        some = np.flatnonzero(np.load(chosen.ring / f"{tile[0]}_{tile[1]}.npy", allow_pickle=False))
+        some = np.flatnonzero(read(chosen.ring.parent, chosen.ring.name, tile))
     out[some[chosen.mask(xyz[some], row[some])]] = True
     return out
 

@@ -11,9 +11,9 @@ from ladar_volume.ground.heights import height_above
 from ladar_volume.ground.polynomial import base_height, design
 from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.tiles.array_file import write
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import VertexSelection, chosen_of
-from ladar_volume.tiles.tile_outline import write
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of

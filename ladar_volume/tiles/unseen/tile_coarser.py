@@ -28,9 +28,10 @@ from ladar_volume.clouds.between_points import (
 )
 from ladar_volume.math.own_axes import OwnAxes, extent_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tiles.array_file import ENDING, read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import bins_of
-from ladar_volume.tiles.tile_outline import Box, read, write
+from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_patch import (
     SurfacePart,
     inside_of,
@@ -151,7 +152,7 @@ class CoarserPart(NamedTuple):
 
 def coarser_of(kept: KeptPoints, tile: Tile) -> CoarserPart:
     """What a tile knows of the coarser surface, read where it is at rest, made where it is not."""
-    path = kept.folder / "coarser" / f"{tile[0]}_{tile[1]}.npz"
+    path = kept.folder / "coarser" / f"{tile[0]}_{tile[1]}{ENDING}"
     found = arrays_at_rest(path, CoarserPart._fields, lambda: make_coarser(kept, tile)._asdict())
     return CoarserPart(*found)
 

@@ -11,8 +11,9 @@ import numpy as np
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane
+from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_outline import TileParts, parts_of, read, write
+from ladar_volume.tiles.tile_outline import TileParts, parts_of
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of, used_of

@@ -16,8 +16,9 @@ import numpy as np
 from ladar_volume.clouds.between_points import CELL
 from ladar_volume.math.own_axes import OwnAxes, extent_of, moments_about, raster_between
 from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.tiles.array_file import ENDING, read, read_arrays, write
 from ladar_volume.tiles.tile_batches import TiledCloud
-from ladar_volume.tiles.tile_outline import Box, box_of, read, write
+from ladar_volume.tiles.tile_outline import Box, box_of
 from ladar_volume.tiles.tile_places import hull_of_places, places
 from ladar_volume.tiles.tile_store import CloudParts, Tile
 from ladar_volume.tiles.tile_surface import used_of
@@ -40,7 +41,7 @@ class Rasters:
 
     def filled(self, k: int) -> Path:
         """Where the filled cells of a size are."""
-        return self.folder / f"filled_{k}.npy"
+        return self.folder / f"filled_{k}{ENDING}"
 
     def shape(self, k: int) -> tuple[int, int]:
         """Cells of a raster, with two empty ones on all sides."""
@@ -57,8 +58,8 @@ class Rasters:
         """How far apart points lie around places (n, 2), m, along the axes, (n,) m."""
         found = []
         for k in range(len(self.sizes)):
-            filled = np.load(self.filled(k), mmap_mode="r", allow_pickle=False)
-            found.append(np.asarray(filled[self.cells(k, xy)]))
+            filled = read_arrays(self.filled(k))["filled"]
+            found.append(filled[self.cells(k, xy)])
         return lasting_sizes(np.stack(found), self.sizes)
 
 

@@ -19,9 +19,9 @@ from ladar_volume.clouds.between_points import (
     shifts_for,
     squares_every,
 )
-from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
 from ladar_volume.model.records import F64, I64
+from ladar_volume.tiles.array_file import write_arrays
 from ladar_volume.tiles.tile_batches import ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_places import joined_hull
@@ -177,13 +177,11 @@ def filled_rasters(fitter: GroundFitter, outline: Path | None) -> Rasters | None
 
 def fill(rasters: Rasters, cells: Sequence[Sequence[I64]]) -> None:
     """Write which cells are filled, from those of each tile by raster."""
-    rasters.folder.mkdir(parents=True, exist_ok=True)
     for k in range(len(rasters.sizes)):
         raster = np.zeros(rasters.shape(k), np.bool_)
         for some in cells:
             raster.reshape(-1)[some[k]] = True
-        with atomic_file(rasters.filled(k)) as part, part.open("wb") as file:
-            np.save(file, beside_full_blocks(raster).reshape(-1), allow_pickle=False)
+        write_arrays(rasters.filled(k), {"filled": beside_full_blocks(raster).reshape(-1)})
 
 
 def merged(told: Sequence[F64]) -> F64:
