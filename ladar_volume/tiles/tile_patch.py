@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.clouds.given_faces import neighbours_of
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.array_file import read, write
+from ladar_volume.tiles.joined_triangles import across_sides, distinct_triangles
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_stars import TilePoints
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of, surface_path
-from ladar_volume.tin.full_tin import any_corner, places_in
+from ladar_volume.tin.full_tin import any_corner, corners_of, places_in
 from ladar_volume.volume.neighbourhood import grow_kernel
 
 C128 = npt.NDArray[np.complex128]
@@ -139,7 +139,7 @@ def part_round(s: TileSurface, inside: Bool, marked: Bool) -> SurfacePart:
     within the outline
     """
     some = any_corner(s.tin.triangles, marked)
-    corners = np.unique(s.tin.triangles[some]).astype(np.int64)
+    corners = corners_of(s.tin.triangles[some], len(s.own))
     triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
     none = np.zeros(len(triangles), np.bool_)
     return SurfacePart(
@@ -170,17 +170,14 @@ def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
     corners = np.concatenate(
         [place[at + p.triangles] for at, p in zip(start[:-1], parts, strict=True)]
     )
-    low = np.argmin(corners, axis=1)
-    turned = np.take_along_axis(corners, (low[:, None] + np.arange(3)) % 3, axis=1)
-    side = turned[:, 0].astype(np.int64) * len(first) + turned[:, 1]
-    # one triangle lies to the left of a side; that of the tile itself is the first
-    some = np.sort(np.unique(side, return_index=True)[1])
-    triangles = corners[some]
+    some, triangles = distinct_triangles(corners, len(first))
     counted, inside = (
         np.concatenate([getattr(p, name) for p in parts])[some] for name in ("counted", "inside")
     )
     vertices, shared = xyz[first], np.concatenate([p.shared for p in parts])[first]
-    tin = Tin(vertices, triangles, neighbours_of(triangles), inside, np.full(len(first), -1))
+    tin = Tin(
+        vertices, triangles, across_sides(triangles, len(first)), inside, np.full(len(first), -1)
+    )
     own = place[: start[1]][parts[0].complete].astype(np.int64)
     complete = np.zeros(len(first), np.bool_)
     complete[place[np.concatenate([p.complete for p in parts])]] = True

@@ -113,19 +113,32 @@ class OpenSides:
     ends: F64
 
 
+@kernel
 def circle_boxes(corners: F64) -> F64:
     """Boxes (m, 4) m that hold the circumcircles of triangles (m, 3, 2); NaN for flat ones."""
-    a = corners[:, 0]
-    u, v = corners[:, 1] - a, corners[:, 2] - a
-    twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    uu, vv, ww = (u**2).sum(axis=1), (v**2).sum(axis=1), ((u - v) ** 2).sum(axis=1)
-    good = twice > FLAT * np.maximum(np.maximum(uu, vv), ww)
-    d = np.where(good, 2.0 * twice, np.nan)
-    x, y = (v[:, 1] * uu - u[:, 1] * vv) / d, (u[:, 0] * vv - v[:, 0] * uu) / d
-    r = np.hypot(x, y)
-    size = np.abs(corners).max(axis=(1, 2)) * 1e-12
-    r = r * (1.0 + MARGIN) + size
-    return np.stack([a[:, 0] + x - r, a[:, 1] + y - r, a[:, 0] + x + r, a[:, 1] + y + r], axis=1)
+    out = np.empty((len(corners), 4))
+    for t in range(len(corners)):
+        ax, ay = corners[t, 0, 0], corners[t, 0, 1]
+        ux, uy, vx, vy = (
+            corners[t, 1, 0] - ax,
+            corners[t, 1, 1] - ay,
+            corners[t, 2, 0] - ax,
+            corners[t, 2, 1] - ay,
+        )
+        twice = ux * vy - uy * vx
+        uu, vv = ux * ux + uy * uy, vx * vx + vy * vy
+        ww = (ux - vx) ** 2 + (uy - vy) ** 2
+        if not twice > FLAT * max(max(uu, vv), ww):
+            out[t] = np.nan
+            continue
+        x, y = 0.5 * (vy * uu - uy * vv) / twice, 0.5 * (ux * vv - vx * uu) / twice
+        size = 0.0
+        for k in range(3):
+            size = max(size, max(abs(corners[t, k, 0]), abs(corners[t, k, 1])))
+        r = np.sqrt(x * x + y * y) * (1.0 + MARGIN) + 1e-12 * size
+        out[t, 0], out[t, 1] = ax + x - r, ay + y - r
+        out[t, 2], out[t, 3] = ax + x + r, ay + y + r
+    return out
 
 
 def meets(corners: F64, box: Box) -> bool:

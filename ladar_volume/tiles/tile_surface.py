@@ -14,7 +14,7 @@ from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tiles.array_file import ENDING, Array, read_arrays, write_arrays
 from ladar_volume.tiles.tile_stars import TileStars, tile_stars
 from ladar_volume.tiles.tile_store import Tile, TileIndex, digest
-from ladar_volume.tin.full_tin import places_in
+from ladar_volume.tin.full_tin import corners_of, places_in
 from ladar_volume.tin.relevant import relevant_triangles
 
 #: Across a side of a triangle lies one of another tile, or the hull: this tile does not know.
@@ -124,7 +124,7 @@ def make_surface(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
 def part_of_tile(stars: TileStars, row: I64, counts: Bool, points: int) -> TileSurface:
     """The triangles that meet a tile's vertices, and their corners, numbered anew."""
     tin, star = stars.tin, stars.star
-    corners = np.unique(tin.triangles[star]).astype(np.int64)
+    corners = corners_of(tin.triangles[star], len(tin.vertices))
     number = np.full(len(star) + 1, UNKNOWN, np.int32)
     number[np.flatnonzero(star)] = np.arange(np.count_nonzero(star))
     number[-1] = -1  # the hull

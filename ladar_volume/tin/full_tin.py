@@ -101,6 +101,11 @@ def vertex_mask(tin: Tin, mask: Bool) -> Bool:
     return np.asarray(corner_kernel(tin.triangles, mask, len(tin.vertices)))
 
 
+def corners_of(triangles: I32, n: int) -> I64:
+    """The vertices (k,), of n, that triangles (m, 3) have as corners, ascending."""
+    return np.flatnonzero(corner_kernel(triangles, np.ones(len(triangles), np.bool_), n))
+
+
 @kernel
 def any_kernel(first: int, end: int, triangles: I32, chosen: Bool, out: Bool) -> None:
     """See :func:`any_corner`; some triangles."""

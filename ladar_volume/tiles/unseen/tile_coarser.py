@@ -45,7 +45,7 @@ from ladar_volume.tiles.tile_stars import tile_stars
 from ladar_volume.tiles.tile_store import Tile, arrays_at_rest
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
 from ladar_volume.tiles.unseen.tile_spacing import KeptPoints
-from ladar_volume.tin.full_tin import first_corners, footprint_areas, places_in
+from ladar_volume.tin.full_tin import corners_of, first_corners, footprint_areas, places_in
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters
 
@@ -161,7 +161,7 @@ def make_coarser(kept: KeptPoints, tile: Tile) -> CoarserPart:
     """Triangulate it."""
     stars = tile_stars(kept, tile)
     tin, star = stars.tin, stars.star
-    corners = np.unique(tin.triangles[star]).astype(np.int64)
+    corners = corners_of(tin.triangles[star], len(tin.vertices))
     triangles = places_in(corners, len(tin.vertices))[tin.triangles[star]]
     ends = [
         np.stack([tin.triangles[:, (k + 1) % 3], tin.triangles[:, (k + 2) % 3]], axis=1)[

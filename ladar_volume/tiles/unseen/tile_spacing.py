@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.clouds.between_points import CELL
+from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import OwnAxes, extent_of, moments_about, raster_between
 from ladar_volume.model.records import F64, I64, Bool
-from ladar_volume.tiles.array_file import ENDING, read, read_arrays, write
+from ladar_volume.tiles.array_file import ENDING, at_rest, read, read_arrays, write, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box, box_of
 from ladar_volume.tiles.tile_places import hull_of_places, places
@@ -38,6 +39,11 @@ class Rasters:
     sizes: tuple[float, ...]
     folder: Path
     count: int
+
+    @property
+    def many(self) -> int:
+        """How many rasters there are."""
+        return len(self.sizes)
 
     def filled(self, k: int) -> Path:
         """Where the filled cells of a size are."""
@@ -81,7 +87,26 @@ def moments(of: TiledCloud, tile: Tile, middle: F64) -> F64:
 def filled_cells(of: TiledCloud, tile: Tile, rasters: Rasters) -> list[I64]:
     """The cells (k,) of each raster that the tile's vertices fill."""
     xy = rasters.axes.along(used_of(of.index, of.limits, tile)[0][:, :2])
-    return [np.unique(rasters.cells(k, xy)) for k in range(len(rasters.sizes))]
+    return [distinct_cells(rasters.cells(k, xy), rasters.shape(k)[1]) for k in range(rasters.many)]
+
+
+@kernel
+def distinct_cells(cells: I64, width: int) -> I64:
+    """The cells (k,) of a raster so wide, row by row, that are named (n,), ascending."""
+    n = len(cells)
+    if not n:
+        return cells
+    first, last = cells.min() // width, cells.max() // width
+    low, high = cells[0] % width, cells[0] % width
+    for cell in cells:
+        low, high = min(low, cell % width), max(high, cell % width)
+    wide = high - low + 1
+    filled = np.zeros((last - first + 1) * wide, np.bool_)
+    for cell in cells:
+        filled[(cell // width - first) * wide + cell % width - low] = True
+    at = np.flatnonzero(filled)
+    out: I64 = (at // wide + first) * width + at % wide + low
+    return out
 
 
 def tell_spacings(of: TiledCloud, tile: Tile, rasters: Rasters) -> F64:
@@ -128,37 +153,60 @@ def nearest_to_middles(
     cell = np.floor(place)
     off = ((place - cell - 0.5) ** 2).sum(axis=1)
     name = np.column_stack([number, cell.astype(np.int64)])
-    order = np.lexsort((row[some], off, name[:, 2], name[:, 1], name[:, 0]))
-    new = np.r_[True, (np.diff(name[order], axis=0) != 0).any(axis=1)][: len(order)]
-    best = order[new]
+    best = first_of_cells(name, off, row[some])
     side, corner = of.index.cloud.tile_m, np.array(tile) * of.index.cloud.tile_m
     inner = xyz[some[best], :2] - corner
     edge = np.minimum(inner, side - inner).min(axis=1) - np.sqrt(2.0) * size[best]
     return Cells(name[best], off[best], row[some[best]]), some[best], edge
 
 
+def first_of_cells(name: I64, off: F64, row: I64) -> I64:
+    """Which (k,) of vertices in named cells (n, 3) are the least off (n,) in theirs, of equals the
+    one of the first row (n,) of the file; by name.
+    """
+    if not len(name):
+        return np.zeros(0, np.int64)
+    low = name.min(axis=0)
+    wide = name.max(axis=0) - low + 1  # a raster has at most some thousand cells along a side
+    key = ((name[:, 0] - low[0]) * wide[1] + name[:, 1] - low[1]) * wide[2] + name[:, 2] - low[2]
+    return np.asarray(first_kernel(np.argsort(key), key, off, row))
+
+
+@kernel
+def first_kernel(order: I64, key: I64, off: F64, row: I64) -> I64:
+    """See :func:`first_of_cells`; order : (n,) of the keys (n,)"""
+    out, k = np.empty(len(order), np.int64), 0
+    for at in order:
+        if k == 0 or key[at] != key[out[k - 1]]:
+            out[k] = at
+            k += 1
+            continue
+        best = out[k - 1]
+        if off[at] < off[best] or (off[at] == off[best] and row[at] < row[best]):
+            out[k - 1] = at
+    return out[:k].copy()
+
+
 def border_cells(
     of: TiledCloud, tile: Tile, rasters: Rasters, extents: F64, shift: tuple[float, float]
 ) -> Cells:
-    """Of these, those whose cells may reach into other tiles."""
-    cells, _, edge = nearest_to_middles(of, tile, rasters, extents, shift)
+    """Of these, those whose cells may reach into other tiles; all are at rest for :func:`keep`."""
+    cells, chosen, edge = nearest_to_middles(of, tile, rasters, extents, shift)
+    path = at_rest(kept_folder(rasters, shift), "chosen", tile)
+    write_arrays(path, {"row": cells.row, "some": chosen})
     some = edge <= 0.0
     return Cells(cells.name[some], cells.off[some], cells.row[some])
 
 
 def keep(
-    of: TiledCloud,
-    tile: Tile,
-    rasters: Rasters,
-    extents: F64,
-    shift: tuple[float, float],
-    lost: I64,
+    of: TiledCloud, tile: Tile, rasters: Rasters, shift: tuple[float, float], lost: I64
 ) -> tuple[int, Box | None, F64]:
     """The footprints kept of a tile, at rest: without the rows that ``lost`` to those of other
     tiles. Returns how many, their box, and the corners (h, 2) m of their hull.
     """
-    cells, some, _ = nearest_to_middles(of, tile, rasters, extents, shift)
-    kept = places(used_of(of.index, of.limits, tile)[0][some[~np.isin(cells.row, lost)]])
+    chosen = read_arrays(at_rest(kept_folder(rasters, shift), "chosen", tile), ("row", "some"))
+    some = chosen["some"][~np.isin(chosen["row"], lost)]
+    kept = places(used_of(of.index, of.limits, tile)[0][some])
     write(kept_folder(rasters, shift), "kept", tile, kept)
     return len(kept), box_of(kept[:, :2]), hull_of_places(kept[:, :2])
 

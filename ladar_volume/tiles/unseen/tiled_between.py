@@ -142,7 +142,7 @@ class BetweenFinder:
             rows[loses]
             for rows, loses in zip(np.split(every.row, first), np.split(loses, first), strict=True)
         ]
-        more = [(rasters, extents, shift, rows) for rows in lost]
+        more = [(rasters, shift, rows) for rows in lost]
         found = self._each(tile_spacing.keep, more)
         if sum(n for n, _, _ in found) < FEWEST // 4:
             return None
