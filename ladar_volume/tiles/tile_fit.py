@@ -14,6 +14,7 @@ from ladar_volume.ground.polynomial import (
     design,
     design_surface,
 )
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.array_file import read
 from ladar_volume.tiles.tile_batches import TiledCloud
@@ -116,12 +117,25 @@ def sizes_in(
     return size[(bins >= low) & (bins <= high)]
 
 
+@kernel
 def blocks_of(row: I64, begin: I64, size: int) -> I64:
     """The block (n,) that each of rows (n,) of the file lies in, -1 for none. begin : (k,) the
     first rows of blocks of so many rows, ascending
     """
-    at = np.searchsorted(begin, row, side="right") - 1
-    return np.where((at >= 0) & (row < begin[at] + size), at, -1)
+    out = np.full(len(row), -1, np.int64)
+    for i in range(len(row)):
+        low, high = 0, min((row[i] - begin[0]) // size + 1, len(begin))
+        if high <= 0 or begin[high - 1] <= row[i]:
+            low = high  # as where one block follows the other
+        while low < high:
+            middle = (low + high) // 2
+            if begin[middle] <= row[i]:
+                low = middle + 1
+            else:
+                high = middle
+        if low > 0 and row[i] < begin[low - 1] + size:
+            out[i] = low - 1
+    return out
 
 
 def count_in_blocks(

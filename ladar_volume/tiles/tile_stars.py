@@ -170,7 +170,7 @@ def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box, whole: F64) -> OpenSi
         for k in range(3)
     ]
     hull = np.concatenate(ends)
-    sides = xy[hull[own[hull].any(axis=1)]]
+    sides = np.ascontiguousarray(xy[hull[own[hull].any(axis=1)]])
     return OpenSides(corners[~inside], reach[~inside], sides[off_hull(sides, whole)])
 
 
@@ -182,8 +182,8 @@ def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
     flat = np.flatnonzero(np.isnan(r[:, 0]))
     near[flat] = [meets(sides.corners[t], box) for t in flat.tolist()]
     found = [
-        circle_intruders(np.ascontiguousarray(sides.corners[near]), r[near], xy, known, w),
-        hull_intruders(np.ascontiguousarray(sides.ends), xy, known, w),
+        circle_intruders(sides.corners[near], r[near], xy, known, w),
+        hull_intruders(sides.ends, xy, known, w) if len(sides.ends) else np.zeros(0, np.int64),
     ]
     rows = np.unique(np.concatenate(found))
     return rows[rows >= 0]

@@ -13,6 +13,7 @@ import numpy as np
 
 from ladar_volume.ground.heights import height_above
 from ladar_volume.ground.polynomial import degree_of, design
+from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import VertexSelection, vertices
@@ -20,7 +21,7 @@ from ladar_volume.tiles.tile_near import NearSums, add_cut, near_sums
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
-from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.full_tin import corners_of, footprint_areas
 from ladar_volume.uncertainty.ground_field import OCCUPIED, spread_kernel, squares_grid
 from ladar_volume.volume.prismoids import prismoids
 
@@ -70,8 +71,8 @@ def tile_sums(of: TiledCloud, tile: Tile, above: Above) -> TileSums:
         solid = prismoids(tin, base, counted)
         cut, fill, area = solid.cut_m3, solid.fill_m3, solid.area_m2
         by_beta[:, 0] = solid.base_net
-        xy = tin.vertices[tin.triangles[counted], :2].reshape(-1, 2)
-        box = np.concatenate([xy.min(axis=0), xy.max(axis=0)])
+        corners = corners_of(tin.triangles[counted], len(tin.vertices))
+        box = np.concatenate(extent_of(tin.vertices[corners]))
     near = None
     if above.near is not None:
         asked = (base, above.sigma_m, above.folder, above.near)

@@ -20,7 +20,7 @@ from ladar_volume.tiles.tile_surface import TileSurface, surface_of, used_of
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.relevant import edge_lengths
+from ladar_volume.tin.relevant import longest_sides
 from ladar_volume.volume.field_checks.gap_kriging import REACH, SPACINGS, ObservedPoints, diameter
 from ladar_volume.volume.field_checks.gaps import (
     GAP,
@@ -62,8 +62,7 @@ def longest_edges(of: TiledCloud, tile: Tile, outline: Path | None) -> F64:
     """The longest edges (m,) m of the triangles that count in a tile within the outline."""
     surface = surface_of(of.index, of.limits, tile)
     inside = inside_of(surface, tile, outline) & surface.counted
-    out: F64 = edge_lengths(surface.tin, inside).max(axis=1)
-    return out
+    return longest_sides(surface.tin.vertices, surface.tin.triangles, np.flatnonzero(inside))
 
 
 def wide_parts(of: TiledCloud, tile: Tile, asked: Spanned) -> WideParts:
@@ -86,7 +85,7 @@ def wide_triangles(surface: TileSurface, inside: Bool, asked: Spanned) -> tuple[
     """Triangles (m,) of a tile inside the outline that are too wide, and what is usual (m,) m."""
     tin, usual = surface.tin, asked.usual_m
     rows = np.flatnonzero(inside)
-    longest = edge_lengths(tin, inside).max(axis=1)
+    longest = longest_sides(tin.vertices, tin.triangles, rows)
     could = longest > GAP * usual
     rows, longest = rows[could], longest[could]
     near = None

@@ -23,7 +23,7 @@ from ladar_volume.tiles.tile_outline import Box, box_of
 from ladar_volume.tiles.tile_places import hull_of_places, places
 from ladar_volume.tiles.tile_store import CloudParts, Tile
 from ladar_volume.tiles.tile_surface import used_of
-from ladar_volume.tin.sampled_area import lasting_sizes
+from ladar_volume.tin.sampled_area import cell_in, lasting_sizes
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,23 @@ class Rasters:
     def cells(self, k: int, xy: F64) -> I64:
         """The cell (n,) of places (n, 2), m, along the axes, row by row."""
         low, _ = raster_between((self.low, self.high), self.sizes[k])
-        x, y = (np.floor((xy[:, c] - low[c]) / self.sizes[k]).astype(np.int64) for c in range(2))
-        return np.asarray((x + 2) * self.shape(k)[1] + y + 2)
+        return cells_in(xy, low, self.sizes[k], self.shape(k)[1])
 
     def spacings(self, xy: F64) -> F64:
         """How far apart points lie around places (n, 2), m, along the axes, (n,) m."""
-        found = []
-        for k in range(len(self.sizes)):
-            filled = read_arrays(self.filled(k))["filled"]
-            found.append(filled[self.cells(k, xy)])
-        return lasting_sizes(np.stack(found), self.sizes)
+        found = np.empty((self.many, len(xy)), np.bool_)
+        for k in range(self.many):
+            read_arrays(self.filled(k))["filled"].take(self.cells(k, xy), out=found[k])
+        return lasting_sizes(found, self.sizes)
+
+
+@kernel
+def cells_in(xy: F64, low: F64, size: float, width: int) -> I64:
+    """See :meth:`Rasters.cells`."""
+    out = np.empty(len(xy), np.int64)
+    for i in range(len(xy)):
+        out[i] = cell_in(xy, i, low, size, width)
+    return out
 
 
 def extent(of: TiledCloud, tile: Tile, axes: OwnAxes | None) -> F64:

@@ -20,7 +20,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Gap, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 from ladar_volume.tin.locate import locate, triangle_index
-from ladar_volume.tin.relevant import edge_lengths
+from ladar_volume.tin.relevant import longest_sides
 from ladar_volume.uncertainty.ground_field import HALVINGS
 from ladar_volume.volume.field_checks.gap_kriging import (
     ObservedPoints,
@@ -135,7 +135,7 @@ def find_gaps(tin: Tin, inside_m2: F64, spacing_m: F64 | None = None) -> Gaps:
     edge, or the spacing at two corners of a triangle: a lone point in a gap tells of none.
     """
     inside = inside_m2 > 0.0
-    longest = edge_lengths(tin, inside).max(axis=1)
+    longest = longest_sides(tin.vertices, tin.triangles, np.flatnonzero(inside))
     usual = float(np.median(longest)) if len(longest) else 0.0
     near = None if spacing_m is None else spacing_m[tin.triangles[inside]]
     over, here = spanning(longest, usual, near)
