@@ -14,8 +14,9 @@ from ladar_volume.tiles.tile_work import Workers, each_result, results
 
 R = TypeVar("R")
 
-#: Into how many batches the tiles go, whatever the number of workers: sums do not depend on it.
-BATCHES = 64
+#: Fewest and most tiles that go to a worker at a time, and into how many batches they are divided
+#: in between and at least, whatever the number of workers: sums do not depend on that.
+FEW, MANY, BATCHES, LEAST = 16, 64, 64, 4
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def batches_of(
     """The tiles in batches, each with its number and what its tiles are told."""
     tiles = of.tiles
     every = [(tile, *rest) for tile, rest in zip(tiles, more or [()] * len(tiles), strict=True)]
-    each = -(-len(every) // BATCHES)
+    each = min(max(-(-len(every) // BATCHES), FEW), MANY, -(-len(every) // LEAST))
     return [(k, every[k : k + each]) for k in range(0, len(every), each)]
 
 
