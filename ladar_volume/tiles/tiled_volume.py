@@ -26,7 +26,7 @@ from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles import tile_outline, tile_volume
 from ladar_volume.tiles.readings.tiled_readings import Around
-from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers, run_batch
+from ladar_volume.tiles.tile_batches import LEAST, TiledCloud, ask, ask_merged, givers, run_batch
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
 from ladar_volume.tiles.tile_outline import Box
@@ -141,9 +141,9 @@ def triangulated(
     index = tile_index(cloud)
     check_tile(index, cloud.tile_m)
     work = EachTile(workers, index, progress)
-    ends = work.done(TiledCloud(index, limits), sort_tile, "sorted")
+    ends = work.done(TiledCloud(index, limits), sort_tile, "sorted", 16)
     of = TiledCloud(dataclasses.replace(index, hull=joined_hull(list(ends.values()))), limits)
-    return of, work.done(of, partial(triangulate_tile, noise=noise), "surface")
+    return of, work.done(of, partial(triangulate_tile, noise=noise), "surface", 4)
 
 
 @dataclass(frozen=True)
@@ -155,15 +155,16 @@ class EachTile:
     progress: Progress
 
     def done(
-        self, of: TiledCloud, op: Callable[[TiledCloud, Tile], R], stage: str
+        self, of: TiledCloud, op: Callable[[TiledCloud, Tile], R], stage: str, each: int
     ) -> dict[Tile, R]:
-        """The answers by tile."""
+        """The answers by tile; about so many tiles make a task, where these are not too many."""
         count = self.index.count
         order, total = sorted(count, key=lambda t: (-count[t], t)), sum(count.values())
-        tasks = [(k, [(t,) for t in order[k::TASKS]]) for k in range(min(TASKS, len(order)))]
+        many = min(TASKS, len(order), max(len(order) // each, LEAST))
+        tasks = [(k, [(t,) for t in order[k::many]]) for k in range(many)]
         out: dict[Tile, R] = {}
         for k, found in each_result(self.workers, partial(run_batch, op, of), tasks):
-            some = order[k::TASKS]
+            some = order[k::many]
             self.progress(stage, total, sum(count[t] for t in some))
             out |= zip(some, found, strict=True)
         return out
