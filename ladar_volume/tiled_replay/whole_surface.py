@@ -41,8 +41,8 @@ Reader = Callable[[], TilePatches | None]
 
 
 def file_array(folder: Path, shape: tuple[int, ...], like: npt.DTypeLike) -> npt.NDArray[Any]:
-    """An array in a file of that folder without a name. The room is taken at once: a disk that is
-    full later would end the process. Raises :class:`OutputError`.
+    """An array in a file of that folder without a name. Where the system can, the room is
+    taken at once: a disk that is full later would end the process. Raises :class:`OutputError`.
     """
     dtype = np.dtype(like)
     size = int(np.prod(shape)) * dtype.itemsize
@@ -50,7 +50,9 @@ def file_array(folder: Path, shape: tuple[int, ...], like: npt.DTypeLike) -> npt
         return np.zeros(shape, dtype)
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
-            os.posix_fallocate(file.fileno(), 0, size)
+            file.truncate(size)
+            if hasattr(os, "posix_fallocate"):  # Linux
+                os.posix_fallocate(file.fileno(), 0, size)
             held = mmap.mmap(file.fileno(), size)
     except OSError as error:
         raise unwritable(folder, error) from error

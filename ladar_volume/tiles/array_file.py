@@ -11,6 +11,7 @@ each array, size and CRC-32 of what follows), the arrays, each from a multiple o
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import os
 import secrets
@@ -117,7 +118,9 @@ def _check(path: Path, held: mmap.mmap, said: tuple[int, int, int], status: os.s
 
 def _array(held: mmap.mmap, first: int, dtype: str, shape: Sequence[int], place: int) -> Array:
     of = np.dtype(dtype)
-    count = int(np.prod(shape, dtype=np.int64))
+    count = math.prod(shape)
+    if of.kind not in KINDS or min(shape, default=0) < 0:
+        raise ValueError("no such array")
     if not count:
         return np.zeros(shape, of)
     return np.frombuffer(held, of, count, first + place).reshape(shape)

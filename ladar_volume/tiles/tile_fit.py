@@ -123,7 +123,7 @@ def blocks_of(row: I64, begin: I64, size: int) -> I64:
     first rows of blocks of so many rows, ascending
     """
     out = np.full(len(row), -1, np.int64)
-    for i in range(len(row)):
+    for i in range(len(row) if len(begin) else 0):
         low, high = 0, min((row[i] - begin[0]) // size + 1, len(begin))
         if high <= 0 or begin[high - 1] <= row[i]:
             low = high  # as where one block follows the other
@@ -155,9 +155,11 @@ def rows_in_blocks(
 
 
 def vertices_at(of: TiledCloud, tile: Tile, chosen: VertexSelection, rows: I64 | None) -> F64:
-    """Row, x, y, z, points (k, 5) of the chosen with given rows; None for all."""
+    """Row, x, y, z, points (k, 5) of the chosen with given rows, ascending; None for
+    all.
+    """
     xyz, shared, row = chosen_of(of, tile, chosen)
-    some = slice(None) if rows is None else np.isin(row, rows)
+    some = slice(None) if rows is None else blocks_of(row, rows, 1) >= 0
     return np.column_stack([row, xyz, shared])[some]
 
 

@@ -1,6 +1,6 @@
 """A point cloud file as square tiles on disk.
 
-The file is read in parts of so many points. Each part becomes one archive of arrays, a tile's
+The file is read in parts of so many points. Each part becomes one file of arrays, a tile's
 points (k, 3) float64, m, in file order under the tile's name, with their places in the part,
 written whole or not at all: a run that was interrupted goes on with the parts that are missing. The
 folder's name holds a digest of the file's bytes and of how it was read, so points of another file
@@ -148,9 +148,10 @@ def read_part(cloud: CloudParts, k: int) -> tuple[F64, dict[str, int], tuple[Dou
 
 
 def distribute_part(cloud: CloudParts, k: int) -> Path:
-    """Write part k, tile by tile, where that is not done yet."""
+    """Write part k, tile by tile, where that is not done yet or was damaged."""
     archive = cloud.archive(k)
-    if archive.exists():
+    with contextlib.suppress(InputError):
+        read_arrays(archive, ())
         return archive
     r, left_out, doubts = read_part(cloud, k)
     cell = np.floor(r[:, :2] / cloud.tile_m)
@@ -251,7 +252,7 @@ def member(archive: Path, name: str) -> np.ndarray:
     try:
         return read_arrays(archive, (name,))[name]
     except InputError as error:
-        words = f"{error}: delete it and run again"
+        words = f"{error}: run again"
         raise InputError(words, reason="input_unreadable", value=str(archive)) from error
 
 

@@ -28,7 +28,7 @@ from ladar_volume.clouds.between_points import (
 )
 from ladar_volume.math.own_axes import OwnAxes, extent_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tiles.array_file import ENDING, read, write
+from ladar_volume.tiles.array_file import ENDING, at_rest, read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_fit import bins_of
 from ladar_volume.tiles.tile_outline import Box
@@ -65,21 +65,26 @@ class Squares:
 @dataclass(frozen=True)
 class Seen:
     """outline : where the triangles inside are at rest, None for all that count · squares : those
-    that are looked at
+    that are looked at · folder : where it is to be at rest which triangles lie in them
     """
 
     outline: Path | None
     squares: Squares
+    folder: Path
 
     def of_tile(self, surface: TileSurface, tile: Tile) -> Bool:
         """The triangles (m,) of a tile that are looked at."""
         out = inside_of(surface, tile, self.outline) & surface.counted
-        if self.squares.every > 1:
+        if self.squares.every == 1:
+            return out
+
+        def made() -> dict[str, np.ndarray]:
             xy = np.ascontiguousarray(surface.tin.vertices[:, :2])
             at = self.squares.axes.along(xy[first_corners(xy, surface.tin.triangles)])
             s = self.squares
-            out &= chosen_squares(at, s.low, s.side, s.every, row_step(s.every))
-        return out
+            return {"seen": out & chosen_squares(at, s.low, s.side, s.every, row_step(s.every))}
+
+        return arrays_at_rest(at_rest(self.folder, "seen", tile), ("seen",), made)[0]
 
 
 class Widths(NamedTuple):

@@ -65,15 +65,17 @@ class BetweenFinder:
             return NOTHING
         told = merged(self._ask(tile_spacing.tell_spacings, rasters))
         whole = Squares(rasters.axes, rasters.low, 1.0, 1)
-        facts = self._facts(Seen(self.outline, whole))
+        seen = Seen(self.outline, whole, rasters.folder)
+        facts = self._facts(seen)
         if facts[0] < FEWEST:
             return NOTHING
         area, every = facts[1], squares_every(int(facts[0]))
-        seen = Seen(self.outline, whole)
         side = SQUARE * median_of(told, rasters.count)
         if every >= 2 and math.isfinite(side):
             low, _ = raster_between((rasters.low, rasters.high), side)
-            seen = Seen(self.outline, Squares(rasters.axes, low, side, every))
+            name = digest([low.tolist(), side, every])
+            squares = Squares(rasters.axes, low, side, every)
+            seen = Seen(self.outline, squares, rasters.folder / f"squares_{name}")
             facts = self._facts(seen)
         widths = self._merged(tile_coarser.seen_widths, tile_coarser.together, seen)
         finest = self._half(widths, lambda one: self._ask(tile_coarser.widths_in, seen, one))

@@ -1,0 +1,111 @@
+"""Kernels that go over the triangles and vertices of a tile, against plain NumPy."""
+
+import numpy as np
+import pytest
+
+from ladar_volume.clouds.between_points import middles_of
+from ladar_volume.clouds.given_faces import neighbours_of
+from ladar_volume.tiles.joined_triangles import across_sides, distinct_triangles
+from ladar_volume.tiles.tile_fit import blocks_of
+from ladar_volume.tiles.tile_stars import FLAT, MARGIN, circle_boxes
+from ladar_volume.tiles.unseen.tile_spacing import distinct_cells, first_of_cells
+from ladar_volume.tin.full_tin import build_tin, corners_of
+
+
+def mixed(seed, n=400):
+    """A surface, and its triangles, some of them several times with turned corners."""
+    rng = np.random.default_rng(seed)
+    tin = build_tin(rng.uniform(0, 10, (n, 3)))
+    t = tin.triangles
+    more = t[rng.integers(0, len(t), n)]
+    more = np.stack([np.roll(one, k) for one, k in zip(more, rng.integers(0, 3, n), strict=True)])
+    return tin, np.concatenate([t, more])[rng.permutation(len(t) + n)].astype(np.int32)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_triangles_are_taken_once_and_know_their_neighbours(seed):
+    tin, corners = mixed(seed)
+    rows, found = distinct_triangles(corners, len(tin.vertices))
+    turned = np.stack([np.roll(one, -int(np.argmin(one))) for one in corners])
+    first = np.sort(np.unique(turned, axis=0, return_index=True)[1])
+    assert np.array_equal(rows, first)
+    assert np.array_equal(found, turned[first])
+    assert np.array_equal(across_sides(found, len(tin.vertices)), neighbours_of(found))
+    some = found[:: seed + 2]  # with holes
+    assert np.array_equal(across_sides(some, len(tin.vertices)), neighbours_of(some))
+
+
+def test_a_side_of_three_triangles_has_no_other_side():
+    t = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]], np.int32)
+    assert np.array_equal(across_sides(t, 5), neighbours_of(t))
+    assert (across_sides(t, 5) == -1).all()
+
+
+def test_corners_of_triangles():
+    _, corners = mixed(9)
+    some = corners[::11]
+    assert np.array_equal(corners_of(some, 400), np.unique(some))
+    assert len(corners_of(some[:0], 400)) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_circles_lie_in_their_boxes(seed):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(0, 10.0**seed, (300, 3, 2)) + 1e5 * seed
+    corners[::7, 2] = 0.5 * (corners[::7, 0] + corners[::7, 1])  # flat
+    box = circle_boxes(corners)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    u, v = b - a, c - a
+    twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    longest = np.max([(u**2).sum(1), (v**2).sum(1), ((u - v) ** 2).sum(1)], axis=0)
+    assert np.array_equal(np.isnan(box).any(axis=1), ~(twice > FLAT * longest))
+    good = twice > 1e-3 * longest
+    A = 2.0 * np.stack([u, v], axis=1)[good]
+    middle = np.linalg.solve(A, np.stack([(u**2).sum(1), (v**2).sum(1)], axis=1)[good][..., None])
+    middle = a[good] + middle[..., 0]
+    radius = np.hypot(*(middle - a[good]).T)
+    low, high = middle - radius[:, None], middle + radius[:, None]
+    slack = 4.0 * MARGIN * radius + 1e-9
+    assert ((box[good, :2] <= low + 1e-9) & (box[good, 2:] >= high - 1e-9)).all()
+    assert (np.abs(box[good, :2] - low) < slack[:, None] + 1e-6).all()
+
+
+@pytest.mark.parametrize("step", [1, 3, 40])
+def test_blocks_are_those_of_a_search(step):
+    rng = np.random.default_rng(step)
+    size = 16
+    begin = np.unique(rng.integers(0, 100, 60) * step * size)
+    row = rng.integers(-30, begin[-1] + 3 * size, 5000)
+    at = np.searchsorted(begin, row, side="right") - 1
+    expected = np.where((at >= 0) & (row < begin[at] + size), at, -1)
+    assert np.array_equal(blocks_of(row, begin, size), expected)
+    assert (blocks_of(row, begin[:0], size) == -1).all()
+    some = np.unique(rng.choice(row, 900))
+    assert np.array_equal(blocks_of(row, some, 1) >= 0, np.isin(row, some))
+    whole = np.arange(0, 4000, size)
+    assert np.array_equal(blocks_of(np.arange(4000), whole, size), np.arange(4000) // size)
+
+
+def test_cells_are_told_once():
+    rng = np.random.default_rng(2)
+    cells = rng.integers(4, 30, 900) * 1000 + rng.integers(500, 530, 900)
+    assert np.array_equal(distinct_cells(cells, 1000), np.unique(cells))
+    assert len(distinct_cells(cells[:0], 1000)) == 0
+
+
+def test_one_vertex_of_each_cell():
+    rng = np.random.default_rng(5)
+    name = np.column_stack([rng.integers(0, 3, 800), rng.integers(-4, 9, (800, 2))])
+    off, row = rng.integers(0, 5, 800) / 8.0, rng.permutation(800)
+    order = np.lexsort((row, off, name[:, 2], name[:, 1], name[:, 0]))
+    new = np.r_[True, (np.diff(name[order], axis=0) != 0).any(axis=1)]
+    assert np.array_equal(first_of_cells(name, off, row), order[new])
+    assert len(first_of_cells(name[:0], off[:0], row[:0])) == 0
+
+
+def test_middles_do_not_depend_on_the_order_of_corners():
+    corners = np.random.default_rng(6).normal(size=(200, 3, 2)) + 5e6
+    found = middles_of(corners)
+    assert np.array_equal(found, np.sort(corners, axis=1).mean(axis=1))
+    for order in ([1, 2, 0], [2, 1, 0]):
+        assert np.array_equal(middles_of(np.ascontiguousarray(corners[:, order])), found)
