@@ -234,7 +234,8 @@ class TiledReplay:
         """The patches of a tile; made again where they are damaged."""
 
         def made() -> TilePatches | None:
-            results(self.work.workers, filter_tile, [task], lambda tile: None)
+            if not task.path.exists():
+                results(self.work.workers, filter_tile, [task], lambda tile: None)
             return read_patches(task)
 
         return self._with_repair(recorded, made)

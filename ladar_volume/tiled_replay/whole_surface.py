@@ -99,7 +99,7 @@ class WholeSurface:
             if found is None:
                 continue
             points.append(usable_points(found.points, found.patches.key, self.losses))
-            keys.append(found.patches.key)
+            keys.append(found.patches.key.copy())  # else each file would stay mapped
             blocks.append(np.diff(found.patches.cross_start))
             bins.append(np.diff(found.patches.nav_start))
             for name in COUNTS:
