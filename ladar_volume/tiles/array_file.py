@@ -4,8 +4,9 @@ What tiles have at rest is read some twenty-five times: by their neighbours, and
 after the other. So a file is mapped into memory, and each process adds up its checksum once. A file
 that a power cut left incomplete is found out by that, and made anew: nobody waits for the disk.
 
-Layout: :data:`MAGIC`, length of the head (8 bytes), head (JSON: name, dtype, shape and place of
-each array, size and CRC-32 of what follows), the arrays, each from a multiple of 64 bytes on.
+Layout: :data:`MAGIC`, length of the head and its CRC-32 (8 bytes each), head (JSON: name, dtype,
+shape and place of each array, size and CRC-32 of what follows), the arrays, each from a multiple of
+64 bytes on.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from ladar_volume.model.errors import InputError, short_repr
 Array = npt.NDArray[Any]
 
 #: Ending of the files, first bytes of one, and the bytes before its head.
-ENDING, MAGIC, BEFORE = ".arrays", b"LVARRAY1", 16
+ENDING, MAGIC, BEFORE = ".arrays", b"LVARRAY2", 24
 #: Arrays begin at multiples of so many bytes; kinds of their numbers.
 ALIGNED, KINDS = 64, "biufcU"
 #: Files of this process whose checksum was right: when they were written, and their size.
@@ -69,8 +70,8 @@ def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as file:
             first = _aligned(BEFORE + len(head))
-            before = MAGIC + len(head).to_bytes(8, "little") + head
-            file.write(before.ljust(first, b"\0"))
+            numbers = (n.to_bytes(8, "little") for n in (len(head), zlib.crc32(head)))
+            file.write(b"".join((MAGIC, *numbers, head)).ljust(first, b"\0"))
             for _, place, array in pieces:
                 file.write(bytes(first + place - file.tell()))
                 file.write(_bytes_of(array))
@@ -88,18 +89,19 @@ def read_arrays(path: Path, names: Sequence[str] | None = None) -> dict[str, Arr
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
             held = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
-        size = int.from_bytes(held[len(MAGIC) : BEFORE], "little")
-        if held[: len(MAGIC)] != MAGIC or BEFORE + size > len(held):
+        size, crc = (int.from_bytes(held[k : k + 8], "little") for k in (8, 16))
+        words, first = held[BEFORE : BEFORE + size], _aligned(BEFORE + size)
+        if held[: len(MAGIC)] != MAGIC or zlib.crc32(words) != crc:
             raise ValueError("no such head")
-        head, first = json.loads(held[BEFORE : BEFORE + size]), _aligned(BEFORE + size)
+        head = json.loads(words)
         _check(path, held, (first, head["size"], head["crc"]), status)
         table = {name: (dtype, shape, place) for name, dtype, shape, place in head["arrays"]}
         return {
             name: _array(held, first, *table[name]) for name in (table if names is None else names)
         }
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        words = f"{path}: missing or damaged ({short_repr(error)})"
-        raise InputError(words, reason="input_damaged", value=str(path)) from error
+        text = f"{path}: missing or damaged ({short_repr(error)})"
+        raise InputError(text, reason="input_damaged", value=str(path)) from error
 
 
 def _check(path: Path, held: mmap.mmap, said: tuple[int, int, int], status: os.stat_result) -> None:

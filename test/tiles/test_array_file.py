@@ -65,21 +65,13 @@ def test_damage_of_any_byte_that_is_read_is_told(tmp_path):
     path = tmp_path / "one.arrays"
     write_arrays(path, ARRAYS)
     good = path.read_bytes()
-    size = int.from_bytes(good[8:16], "little")
-    padding = range(16 + size, -(-(16 + size) // 64) * 64)
-    rng, told = np.random.default_rng(3), 0
-    for place in [*range(16), *rng.integers(16, len(good), 150).tolist()]:
-        if place in padding:
-            continue
-        path.write_bytes(good[:place] + bytes([good[place] ^ 0x55]) + good[place + 1 :])
-        try:
-            found = read_arrays(path)
-        except InputError as error:
-            assert error.reason == "input_damaged" and error.value == str(path)
-            told += 1
-        else:  # a letter of a name in the head
-            assert set(found) != set(ARRAYS), place
-    assert told > 140
+    end = 24 + int.from_bytes(good[8:16], "little")
+    rest = np.random.default_rng(3).integers(-(-end // 64) * 64, len(good), 150).tolist()
+    for place in [*range(end), *rest]:  # a bit makes another digit of a digit
+        path.write_bytes(good[:place] + bytes([good[place] ^ 0x01]) + good[place + 1 :])
+        with pytest.raises(InputError, match="missing or damaged") as caught:
+            read_arrays(path)
+        assert caught.value.reason == "input_damaged" and caught.value.value == str(path)
 
 
 @pytest.mark.parametrize("cut", [0, 5, 15, 40, 700, -1])
@@ -133,4 +125,4 @@ def test_a_checksum_is_added_up_once(tmp_path, monkeypatch):
     monkeypatch.setattr(array_file.zlib, "crc32", lambda *a: sums.append(1) or usual(*a))
     for _ in range(3):
         read_arrays(path, ("row",))
-    assert len(sums) == 1
+    assert len(sums) == 3 + 1  # that of the head each time
