@@ -46,6 +46,7 @@ ISOLATED = 3.0
 OFF_ISOLATED, OFF, AGREE = 4.0, 6.0, 3.5
 #: Share of the neighbours that agree on a plane; fewest that a point has where it is.
 MAJORITY, OWN = 0.75, 2
+LIMITS = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
 #: Passes: strays hide one another. Share of neighbours on lines above which they are taken across.
 PASSES, LINES = 3, 0.02
 #: Reweightings of a plane, and fewest points through which one is laid.
@@ -54,6 +55,9 @@ STEPS, LEAST = 10, 6
 BLOCK = 1024
 #: Stretches of a large cloud that show its noise, and points of each.
 STRETCHES, STRETCH = 64, 4096
+#: Share of strays that moves the noise by less than a thousandth: each is a neighbour in eighteen
+#: fits, of which those beyond three standard deviations do not count.
+UNMOVED = 1e-4
 #: Share of the points up to which distances are told of them and of their neighbours alone.
 PART = 0.2
 
@@ -61,8 +65,8 @@ PART = 0.2
 @dataclass(frozen=True)
 class CleaningResult:
     """kept, strays : (k,), (s,) rows of the cloud, what is kept such that neighbours in space are
-    neighbours in memory · isolated_count : how many of the strays are so · noise : of the cloud
-    with its strays, None where it was not told
+    neighbours in memory · isolated_count : how many of the strays are so · noise : of what is kept,
+    None where it was not told
     """
 
     kept: I64
@@ -216,7 +220,7 @@ def isolated_points(points: F64, flat: F64, asked: I64) -> Bool:
     index, over = nearest_index(points), nearest_index(flat)
     if len(asked) > PART * len(points):
         distance = nearest_distances(index, points, COMPANY + 1)
-        asked = asked[(distance > ISOLATED * nearby_minimum(points, distance))[asked]]
+        asked = asked[(distance > ISOLATED * nearby_minimum(points, distance)[0])[asked]]
         around = nearest(over, flat[asked], AROUND)[0]
     else:
         around, distance = nearest(over, flat[asked], AROUND)[0], np.full(len(points), np.nan)
@@ -228,11 +232,11 @@ def isolated_points(points: F64, flat: F64, asked: I64) -> Bool:
     return out
 
 
-def nearby_minimum(points: F64, distance: F64) -> F64:
+def nearby_minimum(points: F64, distance: F64) -> tuple[F64, float]:
     """A lower bound (n,) of the lower quartile of ``distance`` (n,) among the :data:`AROUND` points
     nearest to each of points (n, 3) over the plane: the least in the five by five cells around a
-    point. It is 0 where the point's own cell holds fewer than :data:`AROUND`, since the nearest may
-    then lie beyond those cells.
+    point; and how far, m, these cells reach at most. It is 0 where the point's own cell holds fewer
+    than :data:`AROUND`, since the nearest may then lie beyond those cells.
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     size = max(
@@ -247,14 +251,20 @@ def nearby_minimum(points: F64, distance: F64) -> F64:
     np.minimum.at(least, cell, distance)
     least = ndimage.minimum_filter(least.reshape(count), 5, mode="constant", cval=np.inf).ravel()
     least[np.bincount(cell, minlength=len(least)) < AROUND] = 0.0
-    out: F64 = least[cell]
-    return out
+    return least[cell], 3.0 * math.sqrt(2.0) * size
 
 
-def beside_planes(cloud: Cloud, good: Bool, chosen: I64, cells: F64 | None) -> tuple[Bool, F64]:
+def beside_planes(
+    cloud: Cloud,
+    good: Bool,
+    chosen: I64,
+    cells: F64 | None,
+    extent: tuple[F64, F64] | None = None,
+) -> tuple[Bool, F64]:
     """Which of the points ``chosen`` (k,), rows, are strays beside the good (n,) ones nearest to
-    them, and how far (k,), m, the last of these is; with cells (n,) m, beside those that are left
-    when one point is taken from each.
+    them, and how far (k,), m, the last of these is, infinite where these are too few; with cells
+    (n,) m, beside those that are left when one point is taken from each. extent : between what the
+    good ones lie where the cloud is a part of another, as in :func:`thin_by_cells`
     """
     rows = np.flatnonzero(good).astype(np.int32)
     out, far = np.zeros(len(chosen), np.bool_), np.full(len(chosen), np.inf)
@@ -264,11 +274,13 @@ def beside_planes(cloud: Cloud, good: Bool, chosen: I64, cells: F64 | None) -> t
     of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
     for cell in np.unique(of).tolist():
         # in their order, neighbours beside neighbours
-        kept = rows if cell == 0.0 else np.sort(rows[thin_by_cells(cloud.flat[rows], cell)])
+        kept = rows
+        if cell != 0.0:
+            kept = np.sort(rows[thin_by_cells(cloud.flat[rows], cell, extent=extent)])
         at = np.flatnonzero(of == cell)
         own, reach = out[at], far[at]
         ask_planes(cloud, rows if len(kept) <= PLANE else kept, chosen[at], own, reach)
-        out[at], far[at] = own, reach
+        out[at], far[at] = own, np.inf if len(kept) <= PLANE else reach
     return out, far
 
 
@@ -278,6 +290,8 @@ def ask_planes(cloud: Cloud, kept: I32, chosen: I64, out: Bool, far: F64) -> Non
     if most:
         index = nearest_index(rows_of(cloud.flat, kept))
         run_in_threads(plane_kernel, np.arange(PARTS), index, kept, cloud, chosen, most, out, far)
+    if most <= PLANE:
+        far[:] = np.inf
 
 
 def clean(points: F64) -> CleaningResult:
@@ -296,27 +310,34 @@ def clean(points: F64) -> CleaningResult:
 
 def _clean_near(points: F64) -> CleaningResult:
     """Points (n, 3), m, none of them far from all others."""
-    everything = np.arange(len(points), dtype=np.int64)
+    none = np.zeros(0, np.int64)
     if len(points) < FEWEST:
-        return CleaningResult(everything, everything[:0], 0)
+        return CleaningResult(hilbert_order(points[:, :2]).astype(np.int64), none, 0)
     order, r = in_order_of_place(points)
     noise = noise_if_told(stretches(r))
     if noise is None:
-        return CleaningResult(everything, everything[:0], 0)
+        return CleaningResult(order.astype(np.int64), none, 0)
     isolated, stray = find_strays(r, noise)
     strays = np.sort(order[stray]).astype(np.int64)
+    if len(strays) > UNMOVED * len(r):
+        noise = noise_if_told(stretches(r[~stray]))
     alone = int(np.count_nonzero(isolated & stray))
     return CleaningResult(order[~stray].astype(np.int64), strays, alone, noise)
 
 
 def stretches(r: F64) -> F64:
-    """Points (n, 3), m, in the order of place, or as many of them as show their noise: even
-    stretches of the curve, each as dense as all.
+    """Points (n, 3), m, in the order of place, or as many of them as show their noise."""
+    first, many = stretches_of(len(r))
+    return r if many == len(r) else np.concatenate([r[k : k + many] for k in first.tolist()])
+
+
+def stretches_of(count: int) -> tuple[I64, int]:
+    """Where even stretches of so many points along the curve begin (s,), each as dense as all, and
+    how many points each has; one of all where these are few.
     """
-    if len(r) <= 2 * STRETCHES * STRETCH:
-        return r
-    first = np.linspace(0, len(r) - STRETCH, STRETCHES).astype(np.int64)
-    return np.concatenate([r[k : k + STRETCH] for k in first.tolist()])
+    if count <= 2 * STRETCHES * STRETCH:
+        return np.zeros(1, np.int64), count
+    return np.linspace(0, count - STRETCH, STRETCHES).astype(np.int64), STRETCH
 
 
 def noise_if_told(points: F64) -> CloudNoise | None:
@@ -339,20 +360,24 @@ def in_order_of_place(points: F64) -> tuple[I32, F64]:
     return order, r
 
 
+def least_noise(noise: CloudNoise, extent_m: float) -> float:
+    """The noise, m, at least what rounding leaves of coordinates over such an extent."""
+    return max(noise.sigma_m, 1e-9 * extent_m)
+
+
 def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
     """Which points of r (n, 3), m, along their own axes, are isolated, of those that do not plainly
     lie on the surface, and which are strays.
     """
     flat = r * [1.0, 1.0, 0.0]
-    sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r)))
+    sigma = least_noise(noise, float(np.ptp(r)))
     cells, asked = None, np.arange(len(r), dtype=np.int64)
     if noise.on_lines > LINES:
         cells = CELL * spacings(r[:, :2])
     else:
         asked = np.flatnonzero(~plain_points(r, sigma))
     isolated = isolated_points(r, flat, asked)
-    limits = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
-    cloud = Cloud(r, flat, isolated, sigma, limits)
+    cloud = Cloud(r, flat, isolated, sigma, LIMITS)
     good, chosen = np.ones(len(r), bool), asked
     for _ in range(PASSES):
         found, far = beside_planes(cloud, good & ~isolated, chosen, cells)

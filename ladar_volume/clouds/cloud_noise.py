@@ -116,13 +116,16 @@ def thin_by_cells(
     cell_m: float,
     shift: tuple[float, float] = (0.0, 0.0),
     chosen: Bool | None = None,
+    extent: tuple[F64, F64] | None = None,
 ) -> I64:
     """Rows (k,) of the ``chosen`` (n,) of points (n, 3), of all by default: in every cell of the
     horizontal plane, shifted by so many cells, the one nearest to its middle; by cells along x, and
-    along y in each.
+    along y in each. extent : least and greatest coordinates (2,) between which the cells lie, where
+    the points are a part of others; those of the points by default
     """
     chosen = np.ones(len(points), np.bool_) if chosen is None else chosen
-    low, size = raster_between(extent_where(points[:, :2], chosen), cell_m)
+    extent = extent_where(points[:, :2], chosen) if extent is None else extent
+    low, size = raster_between(extent, cell_m)
     moved, size = np.array(shift), size + 1
     if float(size[0]) * float(size[1]) <= RASTER * int(np.count_nonzero(chosen)) + 1e4:
         nearest = np.full(size, -1, np.int64)

@@ -30,10 +30,6 @@ from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.tin.sampled_area import spacings
 from ladar_volume.uncertainty.shared_heights import shared_variances
 
-#: Share of strays that moves the noise by less than a thousandth: each is a neighbour in eighteen
-#: fits, of which those beyond three standard deviations do not count.
-UNMOVED = 1e-4
-
 
 @dataclass(frozen=True)
 class CloudSurface:
@@ -170,8 +166,7 @@ def cloud_surface(
         cloud,
         sigma_m[index] if isinstance(sigma_m, np.ndarray) and sigma_m.ndim else sigma_m,
         sigma_from,
-        # so few strays did not move it
-        cleaned.noise if len(strays) <= UNMOVED * len(points) and not len(changed) else None,
+        cleaned.noise if not len(changed) else None,
     )
     made = represent(cloud, options, sigma)
     strays = np.sort(strays)

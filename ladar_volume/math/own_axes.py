@@ -99,7 +99,8 @@ def along_own_axes(xy: F64) -> F64:
     """Places (n, 2) m about their centroid, turned so that their long direction is the first
     axis.
     """
-    middle = rounded_middle(xy.mean(axis=0), extent_of(xy))
+    mean = np.array([xy[:, 0].mean(), xy[:, 1].mean()])  # by column: summed in pairs
+    middle = rounded_middle(mean, extent_of(xy))
     return axes_of(middle, moments_about(xy, middle)).along(xy)
 
 

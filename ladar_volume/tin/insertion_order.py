@@ -7,6 +7,8 @@ Rote 2003, "Incremental constructions con BRIO").
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -110,10 +112,18 @@ def hilbert_index(xy: F64) -> I64:
     low, high = (
         [float(extreme(c)) for c in xy.T] for extreme in (np.min, np.max)
     )  # by column: a twentieth of both at once
+    return hilbert_positions(xy, (low[0], low[1]), square_side(low, high))
+
+
+def square_side(low: Sequence[float], high: Sequence[float]) -> float:
+    """The side, m, of the square that points with least and greatest x and y are in."""
     # a subnormal extent would make the scale infinite
-    size = max(high[0] - low[0], high[1] - low[1], 1e-280)
-    out: I64 = hilbert_kernel(xy, low[0], low[1], 2.0**BITS / size)
-    return out
+    return max(high[0] - low[0], high[1] - low[1], 1e-280)
+
+
+def hilbert_positions(xy: F64, low: tuple[float, float], side: float) -> I64:
+    """:func:`hilbert_index` over a square from ``low`` on."""
+    return np.asarray(hilbert_kernel(xy, low[0], low[1], 2.0**BITS / side))
 
 
 def hilbert_order(xy: F64) -> npt.NDArray[np.int32]:

@@ -17,10 +17,12 @@ from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.sampling.site_lengths import length_facts, named_lengths
+from ladar_volume.clouds.volume_verdict import stray_doubts
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_surface import Limits
 from ladar_volume.tiles.tiled_volume import TiledVolume, VolumeTask, volume_by_tiles
@@ -44,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         cloud = parts_of_file(arguments.cloud, store, tile_m, reading_of(arguments))
     with workers_of(arguments, words) as workers, progress_on(words) as bars:
         named, correct = named_lengths(arguments.set), not arguments.no_correction
-        task = VolumeTask(limits_of(arguments), parameters, arguments.sigma, correct, named=named)
+        limits, clean = limits_of(arguments), arguments.clean == "auto"
+        task = VolumeTask(limits, parameters, arguments.sigma, correct, named=named, clean=clean)
         found = volume_by_tiles(cloud, task, workers, shares(bars))
     facts = facts_of(found, arguments)
     if arguments.json:
@@ -66,6 +69,8 @@ def requested_parameters(a: argparse.Namespace) -> Parameters:
     if a.sigma is not None and a.sigma < 0.0:
         raise ConfigurationError(f"--sigma {a.sigma:g}: 0 or more", value=a.sigma)
     check_workers(a)
+    if a.clean == "filter":
+        raise ConfigurationError("--clean filter is not done by tiles: auto or off", value=a.clean)
     if a.base not in (None, "level", "plane", "ground"):
         words = f"--base {a.base} is not told by tiles: level, plane or ground"
         raise ConfigurationError(words, value=a.base)
@@ -109,7 +114,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
         "lengths": length_facts(parameters),
         "outline_parts": [],
         "surfaces": [],
-        "clean": {"how": "off", "strays": 0, "share": 0.0, "effect_m3": None},
+        "clean": clean_facts(found, a),
         "objects": [],
         "tiles": {
             "side_m": index.cloud.tile_m,
@@ -120,14 +125,28 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
             "rounds": max(s.rounds for s in sums),
             "left_out": index.left_out,
             "folder": str(index.cloud.folder),
-            "sigma_from": "given"
-            if a.sigma is not None
-            else "local quadrics, root mean square over the tiles",
+            "sigma_from": sigma_words(found, a),
             "relevant": limits_of(a).relevant,
         },
         "verdict": Verdict(doubts).as_dict(),
         "version": version(),
     }
+
+
+def clean_facts(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
+    """How many points were left out as strays."""
+    strays = found.index.strays if isinstance(found.index, CleanedTiles) else 0
+    points = sum(found.index.count.values()) + strays
+    return {"how": a.clean, "strays": strays, "share": strays / points, "effect_m3": None}
+
+
+def sigma_words(found: TiledVolume, a: argparse.Namespace) -> str:
+    """Where the noise comes from."""
+    if a.sigma is not None:
+        return "given"
+    if isinstance(found.index, CleanedTiles) and found.index.sigma_words:
+        return found.index.sigma_words
+    return "local quadrics, root mean square over the tiles"
 
 
 def held_words(found: TiledVolume) -> str:
@@ -138,18 +157,22 @@ def held_words(found: TiledVolume) -> str:
 
 
 def doubts_of(found: TiledVolume, ground: bool, a: argparse.Namespace) -> list[Doubt]:
-    """What speaks against a volume by tiles; ``volume`` was told to leave strays and edge alone."""
+    """What speaks against a volume by tiles; ``volume`` was told to leave the edge alone."""
     points = sum(s.points for s in found.sums)
-    out, missing = list(found.doubts), list[str]()
+    clean = clean_facts(found, a)
+    out, missing = (
+        [*found.doubts, *stray_doubts(clean["strays"], points + clean["strays"])],
+        list[str](),
+    )
     if a.verb == "tiles":
-        missing += ["strays", "the edge of what was sampled"]
+        missing += ["the edge of what was sampled"]
     if found.between is None:
         missing += ["gaps", "what lies between the points"]
         missing += ["other readings of the ground"] * ground
     if missing:
         words = (
             f"{', '.join(missing)} of {points:,} points are not judged by tiles, and not in sigma; "
-            "clean the cloud before, and hold a part of it against ladar_volume volume"
+            "hold a part of the cloud against ladar_volume volume"
         )
         out.append(Doubt("tiles_not_judged", words, float(points)))
     if math.isnan(found.volume.sigma_m3):
@@ -174,16 +197,10 @@ def refuse_what_is_judged(a: argparse.Namespace) -> None:
     """Raises :class:`ConfigurationError` for what ``volume`` does besides unless it is told not
     to.
     """
-    off = {"--clean off": a.clean == "off"}
     by_limit = a.max_edge is not None or a.max_circle is not None
-    off["--relevant all (or --max-edge, --max-circle)"] = by_limit or a.relevant == "all"
-    missing = [option for option, given in off.items() if not given]
-    if missing:
-        words = (
-            f"strays and the sampled area are told from the whole cloud: "
-            f"by tiles give {', '.join(missing)}"
-        )
-        raise ConfigurationError(words, value=missing)
+    if not by_limit and a.relevant != "all":
+        words = "the sampled area is told from the whole cloud: by tiles give --relevant all, or "
+        raise ConfigurationError(f"{words}--max-edge, --max-circle", value=a.relevant)
 
 
 def run_volume(arguments: argparse.Namespace) -> int:

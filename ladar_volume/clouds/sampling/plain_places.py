@@ -8,6 +8,7 @@ it costs one pass over the points, where neighbours cost a search each.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,11 +46,13 @@ def add_block(total: F64, own: F64, dx: float, dy: float) -> None:
 
 
 @inlined
-def cell_sums(r: F64, low: F64, size: float, sums: F64) -> None:
-    """Add points (n, 3) to the sums (a, b, 10) of their cells, about the middle of each."""
+def cell_sums(r: F64, low: F64, size: float, first: I64, sums: F64) -> None:
+    """Add points (n, 3) to the sums (a, b, 10) of their cells from the ``first`` (2,) on, about the
+    middle of each.
+    """
     for i in range(len(r)):
         u, v, z = (r[i, 0] - low[0]) / size, (r[i, 1] - low[1]) / size, r[i, 2]
-        own = sums[int(u), int(v)]
+        own = sums[int(u) - first[0], int(v) - first[1]]
         x, y = u - int(u) - 0.5, v - int(v) - 0.5
         own[0] += 1.0
         own[1] += x
@@ -104,15 +107,21 @@ def block_planes(sums: F64, rough_m: float, planes: F64) -> None:
 
 
 @kernel
-def plain_kernel(r: F64, low: F64, size: float, count: I64, sigma_m: float) -> Bool:
-    """See :func:`plain_points`; ``count`` cells (2,) of a raster from ``low`` (2,)."""
-    sums, planes = np.zeros((count[0], count[1], 10)), np.empty((count[0], count[1], 3))
-    cell_sums(r, low, size, sums)
+def plain_kernel(r: F64, low: F64, size: float, sigma_m: float) -> Bool:
+    """See :func:`plain_points`; the cells that hold points, of a raster from ``low`` (2,) on."""
+    first, last = np.full(2, np.iinfo(np.int64).max), np.full(2, -1)
+    for i in range(len(r)):
+        for k in range(2):
+            cell = int((r[i, k] - low[k]) / size)
+            first[k], last[k] = min(first[k], cell), max(last[k], cell)
+    a, b = max(last[0] - first[0] + 1, 0), max(last[1] - first[1] + 1, 0)
+    sums, planes = np.zeros((a, b, 10)), np.empty((a, b, 3))
+    cell_sums(r, low, size, first, sums)
     block_planes(sums, ROUGH * sigma_m, planes)
     out = np.empty(len(r), np.bool_)
     for i in range(len(r)):
         u, v = (r[i, 0] - low[0]) / size, (r[i, 1] - low[1]) / size
-        own = planes[int(u), int(v)]
+        own = planes[int(u) - first[0], int(v) - first[1]]
         x, y = u - int(u) - 0.5, v - int(v) - 0.5
         out[i] = abs(r[i, 2] - own[0] - own[1] * x - own[2] * y) <= WITHIN * sigma_m
     return out
@@ -123,8 +132,28 @@ def plain_points(r: F64, sigma_m: float) -> Bool:
     all those around them.
     """
     low, high = extent_of(r[:, :2])
+    middle = 0.5 * float(r[:, 2].min() + r[:, 2].max())
+    return plain_in_cells(r, PlainCells(low, cell_side(low, high, len(r)), middle), sigma_m)
+
+
+@dataclass(frozen=True)
+class PlainCells:
+    """low : (2,) m, where the raster begins · side : of a cell, m · middle : height about which
+    sums are taken, m
+    """
+
+    low: F64
+    side: float
+    middle: float
+
+
+def cell_side(low: F64, high: F64, count: int) -> float:
+    """The side of a cell, m, for so many points between coordinates (2,), m."""
     wide = high - low
-    size = max(math.sqrt(float(wide.prod()) * MEAN / len(r)), float(wide.max()) / len(r), 1e-300)
-    count = np.floor(wide / size).astype(np.int64) + 1
-    about = r - [0.0, 0.0, 0.5 * (r[:, 2].min() + r[:, 2].max())]
-    return np.asarray(plain_kernel(about, low, size, count, sigma_m))
+    return max(math.sqrt(float(wide.prod()) * MEAN / count), float(wide.max()) / count, 1e-300)
+
+
+def plain_in_cells(r: F64, cells: PlainCells, sigma_m: float) -> Bool:
+    """:func:`plain_points` with the cells that all points have, of which these may be a part."""
+    about = r - [0.0, 0.0, cells.middle]
+    return np.asarray(plain_kernel(about, cells.low, cells.side, sigma_m))

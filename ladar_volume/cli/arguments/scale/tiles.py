@@ -71,6 +71,12 @@ def _add_bases(g: argparse._ArgumentGroup) -> None:
 def _add_surface(parser: argparse.ArgumentParser) -> None:
     """Which triangles count, and the noise."""
     g = parser.add_argument_group("surface")
+    g.add_argument(
+        "--clean",
+        choices=("auto", "off"),
+        default="auto",
+        help="stray points: auto leaves out those off the surface (default), off none",
+    )
     limit = g.add_mutually_exclusive_group()
     add_parameter(limit, "--max-edge", "volume.max_edge_m")
     add_parameter(limit, "--max-circle", "volume.max_circumdiameter_m")
@@ -78,5 +84,5 @@ def _add_surface(parser: argparse.ArgumentParser) -> None:
         "--sigma",
         type=number,
         metavar="M",
-        help="standard deviation of the heights; else estimated from the tiles",
+        help="standard deviation of the heights; else estimated from the points",
     )

@@ -1,0 +1,192 @@
+"""A cloud dealt out into tiles, without its strays, each triangulated: what a volume by tiles asks
+after that is at rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_noise import cloud_noise
+from ladar_volume.clouds.sampling.site_lengths import SiteSize
+from ladar_volume.model.errors import CloudError, ParameterValueError, SurfaceError
+from ladar_volume.model.records import F64
+from ladar_volume.tiles import tile_outline
+from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
+from ladar_volume.tiles.cleaning.tiled_cleaning import Cleaner
+from ladar_volume.tiles.tile_batches import LEAST, TiledCloud, run_batch
+from ladar_volume.tiles.tile_outline import Box
+from ladar_volume.tiles.tile_places import hull_of_places, joined_hull
+from ladar_volume.tiles.tile_store import (
+    CloudParts,
+    Tile,
+    TileIndex,
+    distribute_part,
+    tile_index,
+)
+from ladar_volume.tiles.tile_surface import Limits, surface_of
+from ladar_volume.tiles.tile_work import Workers, each_result, results
+from ladar_volume.tin.full_tin import footprint_areas
+
+#: Up to this many tiles are taken whatever they hold. More must hold this many points each in the
+#: mean; a side that is suggested gives this many.
+FEW_TILES, FEWEST, ENOUGH = 100, 12, 200
+#: In how many tasks at most the tiles are sorted and triangulated.
+TASKS = 512
+R = TypeVar("R")
+#: Called with the stage, its points, and how many of them a task has just done.
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class TriangulatedTile:
+    """What is known of a tile once it is triangulated: its reach, its points and their noise, m,
+    NaN where it is not asked for or cannot be told, the area that counts and the vertices on it.
+    """
+
+    reach: Box
+    points: int
+    sigma_m: float
+    area_m2: float
+    vertices: int
+
+
+def noise_of_tile(points: F64) -> float | None:
+    """Standard deviation, m, of the heights of points (n, 3); None where they are too few."""
+    try:
+        return cloud_noise(points).sigma_m
+    except SurfaceError:
+        return None
+
+
+def sort_tile(of: TiledCloud, tile: Tile) -> F64:
+    """Put the footprints of a tile at rest; returns the corners (h, 2) of their hull, m."""
+    return hull_of_places(of.index.places(tile)[:, :2])
+
+
+def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
+    """Triangulate a tile where that is not done yet; ``noise`` : whether that of its points is
+    asked for.
+    """
+    surface = surface_of(of.index, of.limits, tile)
+    tin, sigma = surface.tin, noise_of_tile(of.index.points(tile)) if noise else None
+    own = tin.triangles[tin.relevant & surface.counted]
+    return TriangulatedTile(
+        tile_outline.reach(of, tile),
+        surface.points,
+        math.nan if sigma is None else sigma,
+        float(footprint_areas(tin.vertices, own).sum()),
+        int(np.count_nonzero(surface.used)),
+    )
+
+
+@dataclass(frozen=True)
+class PointsTask:
+    """sigma_m : of the heights, None where it is to be told · clean : whether strays are left
+    out
+    """
+
+    sigma_m: float | None
+    clean: bool
+
+
+def triangulated(
+    cloud: CloudParts, limits: Limits, task: PointsTask, workers: Workers, progress: Progress
+) -> tuple[TiledCloud, dict[Tile, TriangulatedTile], float | None]:
+    """Deal a cloud out into tiles and triangulate each; and the noise of the points, m, None where
+    that is told by the tiles.
+    """
+    each = -(-cloud.points // cloud.count)
+    results(
+        workers,
+        partial(distribute_part, cloud),
+        list(range(cloud.count)),
+        lambda _: progress("into tiles", cloud.points, each),
+    )
+    index = tile_index(cloud)
+    check_tile(index, cloud.tile_m)
+    sigma = task.sigma_m
+    if task.clean:
+        index = without_strays(TiledCloud(index, limits), workers, progress)
+        if sigma is None and math.isfinite(index.sigma_m):
+            sigma = index.sigma_m
+    work = EachTile(workers, index, progress)
+    ends = work.done(TiledCloud(index, limits), sort_tile, "sorted", 16)
+    of = TiledCloud(dataclasses.replace(index, hull=joined_hull(list(ends.values()))), limits)
+    known = work.done(of, partial(triangulate_tile, noise=sigma is None), "surface", 4)
+    return of, known, sigma
+
+
+def without_strays(of: TiledCloud, workers: Workers, progress: Progress) -> CleanedTiles:
+    """The tiles of a cloud without its strays. Raises :class:`CloudError` where none is left."""
+    tiles, total = len(of.tiles), sum(of.index.count.values())
+
+    def report(stage: str, done: int) -> None:
+        progress(f"strays: {stage}", total, done * total // tiles)
+
+    found = Cleaner(of, workers, report).cleaned()
+    if not found.count:
+        words = f"{of.index.cloud.path}: all {total} points are strays: give --clean off"
+        raise CloudError(words, reason="cloud_empty")
+    return found
+
+
+@dataclass(frozen=True)
+class EachTile:
+    """What is done once for each tile, the fullest first."""
+
+    workers: Workers
+    index: TileIndex
+    progress: Progress
+
+    def done(
+        self, of: TiledCloud, op: Callable[[TiledCloud, Tile], R], stage: str, each: int
+    ) -> dict[Tile, R]:
+        """The answers by tile; about so many tiles make a task, where these are not too many."""
+        count = self.index.count
+        order, total = sorted(count, key=lambda t: (-count[t], t)), sum(count.values())
+        many = min(TASKS, len(order), max(len(order) // each, LEAST))
+        tasks = [(k, [(t,) for t in order[k::many]]) for k in range(many)]
+        out: dict[Tile, R] = {}
+        for k, found in each_result(self.workers, partial(run_batch, op, of), tasks):
+            some = order[k::many]
+            self.progress(stage, total, sum(count[t] for t in some))
+            out |= zip(some, found, strict=True)
+        return out
+
+
+def check_tile(index: TileIndex, tile_m: float) -> None:
+    """Raise :class:`ParameterValueError` for many tiles with next to nothing in each: each of them
+    would ask all others.
+    """
+    total, tiles = sum(index.count.values()), np.array(list(index.count))
+    if len(tiles) <= FEW_TILES or total >= FEWEST * len(tiles):
+        return
+    over = (np.ptp(tiles, axis=0) + 1.0) * tile_m
+    enough = math.sqrt(float(over.prod()) * ENOUGH / total)
+    raise ParameterValueError(
+        f"{len(tiles):,} tiles of {tile_m:g} m hold {total / len(tiles):.1f} points each, over "
+        f"{over[0]:.4g} by {over[1]:.4g} m: give --tile {enough:.0f} or more, or mend the file's "
+        "unit or scale",
+        value=tile_m,
+    )
+
+
+def size_of_tiles(tiles: list[TriangulatedTile], sigma_m: float) -> SiteSize:
+    """The size of the site that tiles make up."""
+    area = math.fsum(t.area_m2 for t in tiles)
+    return SiteSize(area, sum(t.vertices for t in tiles), sigma_m)
+
+
+def noise_of(tiles: list[TriangulatedTile]) -> float:
+    """Root mean square by points of the noise of all tiles, m; NaN where no tile can tell."""
+    some = [t for t in tiles if math.isfinite(t.sigma_m)]
+    if not some:
+        return math.nan
+    return math.sqrt(math.fsum(t.points * t.sigma_m**2 for t in some) / sum(t.points for t in some))
