@@ -214,58 +214,134 @@ def wide_kernel(
             gap[t] = wide > HOLE * greatest_at(spacing, tin.triangles, t)
 
 
+class Joined(NamedTuple):
+    """root : (m,) of what each triangle is joined to through sides that are long against the
+    spacing of both · open_m : (m,) m, length of its sides on the hull that are long against its
+    own · single : (m,) whether it has a side, long against its own, across which no triangle is
+    """
+
+    root: I32
+    open_m: F64
+    single: Bool
+
+
 @kernel
-def peel_kernel(vertices: F64, triangles: I32, neighbours: I32, spacing: F64, area: F64) -> I32:
-    """See :func:`peel_gaps`: the side of the hull (a number from 0) behind which each triangle (m,)
-    goes, -1 where it stays. spacing : (n,) m, that of the vertices
+def link_kernel(corners: Corners, neighbours: I32, spacing: F64, own: Bool) -> Joined:
+    """Join triangles for a spacing (n,) m. own : (n,) vertices; the lengths are of those sides on
+    the hull whose first end by x, then y is one of them.
     """
     m = len(neighbours)
-    out, stack = np.full(m, -1, np.int32), np.empty(m, np.int32)
-    sides = 0
-    for first in range(m):
+    out = Joined(np.arange(m).astype(np.int32), np.zeros(m), np.zeros(m, np.bool_))
+    for t in range(m):
+        least = LONG * least_at(spacing, corners.triangles, t)
         for k in range(3):
-            if neighbours[first, k] >= 0 or out[first] >= 0:
+            o = neighbours[t, k]
+            if o >= t:
                 continue
-            length = side_length(vertices, triangles, first, k)
-            if not length > LONG * least_at(spacing, triangles, first):
+            length = side_length(corners.vertices, corners.triangles, t, k)
+            if not length > least:
                 continue
-            out[first], stack[0], top, taken, done = sides, first, 1, 0, 0
-            queue = [first]
-            while top > 0:
-                top -= 1
-                t = stack[top]
-                taken += 1
-                for j in range(3):
-                    o = neighbours[t, j]
-                    if o < 0 or out[o] >= 0:
-                        continue
-                    if side_length(vertices, triangles, t, j) > LONG * least_at(
-                        spacing, triangles, o
-                    ):
-                        out[o], stack[top] = sides, o
-                        queue.append(o)
-                        top += 1
-            total, deep = 0.0, 0.0
-            for t in queue:
-                total += area[t]
-                deep += area[t] * (DEEP * least_at(spacing, triangles, t))
-            if not total * total > deep * length:
-                for t in queue:
-                    out[t] = -2 - sides  # too shallow: another side may still reach it
-            sides += 1
-            done += 1
+            if o < 0:
+                out.single[t] = True
+                a = corners.triangles[t, (k + 1) % 3]
+                b = corners.triangles[t, (k + 2) % 3]
+                if o == -1 and own[first_of(corners.vertices, a, b)]:
+                    out.open_m[t] += length
+            elif length > LONG * least_at(spacing, corners.triangles, o):
+                join(out.root, t, o)
     return out
 
 
-def peel_gaps(tin: Tin, spacing_m: F64, area: F64) -> Bool:
-    """Triangles (m,) of a full TIN that are open notches and gaps: reached from a side of the hull
-    through sides that are long against the spacing, where what lies behind that side of the hull is
-    in the mean deeper than the spacing. spacing_m : (n,) of the vertices · area : (m,) m²
+@leaf_kernel
+def first_of(vertices: F64, a: int, b: int) -> int:
+    """Of two vertices the first by x, then y."""
+    x, u = vertices[a, 0], vertices[b, 0]
+    return a if x < u or (x == u and vertices[a, 1] < vertices[b, 1]) else b
+
+
+@leaf_kernel
+def root_of(root: I32, t: int) -> int:
+    """The last of the roots (m,) from one on."""
+    while root[t] != t:
+        root[t] = root[root[t]]
+        t = root[t]
+    return t
+
+
+@leaf_kernel
+def join(root: I32, t: int, o: int) -> None:
+    """Give two triangles one root, the lower of theirs."""
+    a, b = root_of(root, t), root_of(root, o)
+    if a < b:
+        root[b] = a
+    else:
+        root[a] = b
+
+
+@kernel
+def number_kernel(joined: Joined) -> I32:
+    """Number (m,) of the part each triangle belongs to, of those that are joined to another one or
+    have an open side, by their first triangle; -1 for others.
+    """
+    root, m = joined.root, len(joined.root)
+    size, out, count = np.zeros(m, np.int32), np.full(m, -1, np.int32), 0
+    for t in range(m):
+        root[t] = root_of(root, t)
+        size[root[t]] += 1
+    for t in range(m):
+        r = root[t]
+        if size[r] == 1 and not joined.single[t]:
+            continue
+        if r == t:
+            out[t] = count
+            count += 1
+        else:
+            out[t] = out[r]
+    return out
+
+
+class OpenParts(NamedTuple):
+    """Triangles that are joined through sides that are long against the spacing. number : (m,) of
+    the part of each, -1 for those that are joined to none · sums : (k, 3) of each part: area, m²,
+    that times the spacing, m³, and length of the long sides on the hull, m
+    """
+
+    number: I32
+    sums: F64
+
+
+def deep_parts(sums: F64) -> Bool:
+    """Which of parts with sums (k, 3), as :class:`OpenParts` has them, are open to the hull and in
+    the mean deeper than the spacing.
+    """
+    area, by_spacing, length = sums.T
+    return np.asarray((length > 0.0) & (area * area > DEEP * by_spacing * length))
+
+
+def open_parts(tin: Tin, spacing_m: F64, area: F64, own: Bool | None = None) -> OpenParts:
+    """The parts of a full TIN that may be open notches and gaps. spacing_m : (n,) of the vertices ·
+    area : (m,) m², 0 for triangles that do not count · own : (n,) vertices at whose sides the hull
+    counts, all by default
     """
     # between points that show no spacing nothing stands in the way
     at = np.where(np.isfinite(spacing_m), spacing_m, 0.0)
-    side = peel_kernel(tin.vertices, tin.triangles, tin.neighbours, at, area)
-    out: Bool = side >= 0
+    own = np.ones(len(at), np.bool_) if own is None else own
+    joined = link_kernel(Corners(tin.vertices, tin.triangles), tin.neighbours, at, own)
+    number = np.asarray(number_kernel(joined))
+    some = np.flatnonzero(number >= 0)
+    part, n = number[some], int(number.max(initial=-1)) + 1
+    least = at[tin.triangles[some]].min(axis=1)
+    columns = (area[some], area[some] * least, joined.open_m[some])
+    return OpenParts(number, np.column_stack([np.bincount(part, w, n) for w in columns]))
+
+
+def peel_gaps(tin: Tin, spacing_m: F64, area: F64) -> Bool:
+    """Triangles (m,) of a full TIN that are open notches and gaps: joined to the hull through sides
+    that are long against the spacing, where what lies behind its sides is in the mean deeper than
+    the spacing. spacing_m : (n,) of the vertices · area : (m,) m²
+    """
+    found = open_parts(tin, spacing_m, area)
+    out: Bool = np.append(deep_parts(found.sums), False)[found.number]
     return out
 
 
@@ -315,8 +391,10 @@ def sampled_area(tin: Tin) -> SampledArea:
     )
 
 
-def isolated_beyond(tin: Tin, mask: Bool) -> Bool:
-    """Vertices (n,) that stand alone outside the triangles (m,) that were sampled."""
+def isolated_beyond(tin: Tin, mask: Bool, spacing_m: F64) -> Bool:
+    """Vertices (n,) that stand alone outside the triangles (m,) that were sampled. spacing_m : (n,)
+    of the vertices
+    """
     used = vertex_mask(tin, mask)
     out = np.zeros(len(used), bool)
     rest = np.flatnonzero(~used)
@@ -324,7 +402,7 @@ def isolated_beyond(tin: Tin, mask: Bool) -> Bool:
         return out
     xy = tin.vertices[:, :2]
     far, near = cKDTree(xy[used]).query(xy[rest])
-    out[rest] = far > ALONE * spacings(xy[used])[near]
+    out[rest] = far > ALONE * spacing_m[used][near]
     return out
 
 
@@ -334,7 +412,7 @@ def sampled_without_isolated(tin: Tin) -> tuple[Tin, SampledArea]:
     """
     found, beyond = sampled_area(tin), 0
     for _ in range(PASSES):
-        alone = isolated_beyond(tin, found.mask)
+        alone = isolated_beyond(tin, found.mask, found.spacings_m)
         if not alone.any():
             break
         beyond += int(np.count_nonzero(alone))
