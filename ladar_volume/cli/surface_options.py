@@ -36,7 +36,7 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceParameters) -
     """
     a = arguments
     given = _vertex_options(a, default)
-    relevant = _relevant_option(a)
+    relevant = relevant_option(a)
     if a.adjust != "rms-iterated" and (a.iterations is not None or a.height_tolerance is not None):
         raise ConfigurationError(
             "--iterations and --height-tolerance belong to --adjust rms-iterated", value=a.adjust
@@ -84,7 +84,7 @@ def _vertex_options(a: argparse.Namespace, default: SurfaceParameters) -> dict[s
     return {"ratio": None, "vertices": int(a.vertices)}
 
 
-def _relevant_option(a: argparse.Namespace) -> str:
+def relevant_option(a: argparse.Namespace) -> str:
     """Which triangles count: as asked for, or as a limit implies."""
     relevant: str = a.relevant or (
         "edge"

@@ -164,9 +164,9 @@ class JudgedVolume:
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, compute, print."""
     if (arguments.tile, arguments.dask) != (None, None):
-        from ladar_volume.cli.scale.tiles import run_volume  # with tiles
+        from ladar_volume.cli.scale.tiles import run as run_tiles
 
-        return run_volume(arguments)
+        return run_tiles(arguments)
     check_workers(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:

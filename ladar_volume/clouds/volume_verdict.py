@@ -158,18 +158,22 @@ def stray_doubts(strays: int, points: int) -> list[Doubt]:
 
 def surface_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
     """What the surface itself says: unseen area, noise that cannot be told."""
-    out = []
-    hole, area = float(inside[bridges(surface)].sum()), float(inside.sum())
-    if hole > UNSEEN * area:
-        words = (
-            f"{hole:.4g} m² of the {area:.4g} m² that count ({100 * hole / area:.0f} %) have no "
-            "points and are bridged by long triangles; scan them, or leave them out with --max-edge"
-        )
-        out.append(Doubt("unseen", words, hole / area))
+    out = unseen_doubts(float(inside[bridges(surface)].sum()), float(inside.sum()))
     if surface.sigma_m is None:
         words = f"the noise of the points is {surface.sigma_from}; give --sigma"
         out.append(Doubt("noise_unknown", words, float(len(surface.points))))
     return out
+
+
+def unseen_doubts(hole: float, area: float) -> list[Doubt]:
+    """So much of the area that counts, m², is bridged."""
+    if not hole > UNSEEN * area:
+        return []
+    words = (
+        f"{hole:.4g} m² of the {area:.4g} m² that count ({100 * hole / area:.0f} %) have no "
+        "points and are bridged by long triangles; scan them, or leave them out with --max-edge"
+    )
+    return [Doubt("unseen", words, hole / area)]
 
 
 def outline_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:

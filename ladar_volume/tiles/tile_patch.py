@@ -31,8 +31,8 @@ WIDTH = 2.0
 @dataclass(frozen=True)
 class TilePatch:
     """tin : the triangles, without ``source`` · shared : (n,) points at each vertex · own : (k,)
-    the tile's own vertices, in the order in which its surface has them · counted, inside : (m,)
-    triangles that belong to the tile, and those within the outline
+    the tile's own vertices, in the order in which its surface has them · counted, inside, relevant
+    : (m,) triangles that belong to the tile, those within the outline, and those that count
     """
 
     tin: Tin
@@ -40,12 +40,14 @@ class TilePatch:
     own: I64
     counted: Bool
     inside: Bool
+    relevant: Bool
 
 
 @dataclass(frozen=True)
 class SurfacePart:
     """Triangles (m, 3) of one tile over vertices (n, 3) m, points at each, round which of them all
-    triangles are here (n,), and which triangles count in it and lie within the outline (m,).
+    triangles are here (n,), and which triangles count in it, lie within the outline, and count at
+    all (m,).
     """
 
     vertices: F64
@@ -54,6 +56,7 @@ class SurfacePart:
     complete: Bool
     counted: Bool
     inside: Bool
+    relevant: Bool
 
 
 def inside_of(surface: TileSurface, tile: Tile, folder: Path | None) -> Bool:
@@ -89,7 +92,7 @@ def whole_part(surface: TileSurface, inside: Bool) -> SurfacePart:
     """All that a tile has at rest."""
     t = surface.tin
     return SurfacePart(
-        t.vertices, t.triangles, surface.shared, surface.own, surface.counted, inside
+        t.vertices, t.triangles, surface.shared, surface.own, surface.counted, inside, t.relevant
     )
 
 
@@ -124,7 +127,7 @@ def parts_at(of: TiledCloud, xy: F64, folder: Path | None, edges: int) -> Iterat
         own = np.flatnonzero(s.own)
         at = rows_at(s.tin.vertices[own], xy[(cells == (i, j)).all(axis=1)])
         if (at < 0).any():
-            path = surface_path(of.index, of.limits, (i, j))
+            path = surface_path(of.index, (i, j))
             words = f"{path}: not the surface of its tile: delete it and run again"
             raise InputError(words, reason="input_unreadable", value=str(path))
         marked = np.zeros(len(s.own), np.bool_)
@@ -143,7 +146,13 @@ def part_round(s: TileSurface, inside: Bool, marked: Bool) -> SurfacePart:
     triangles = places_in(corners, len(s.own))[s.tin.triangles[some]]
     none = np.zeros(len(triangles), np.bool_)
     return SurfacePart(
-        s.tin.vertices[corners], triangles, s.shared[corners], marked[corners], none, inside[some]
+        s.tin.vertices[corners],
+        triangles,
+        s.shared[corners],
+        marked[corners],
+        none,
+        inside[some],
+        s.tin.relevant[some],
     )
 
 
@@ -171,8 +180,9 @@ def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
         [place[at + p.triangles] for at, p in zip(start[:-1], parts, strict=True)]
     )
     some, triangles = distinct_triangles(corners, len(first))
-    counted, inside = (
-        np.concatenate([getattr(p, name) for p in parts])[some] for name in ("counted", "inside")
+    counted, inside, relevant = (
+        np.concatenate([getattr(p, name) for p in parts])[some]
+        for name in ("counted", "inside", "relevant")
     )
     vertices, shared = xyz[first], np.concatenate([p.shared for p in parts])[first]
     tin = Tin(
@@ -181,7 +191,7 @@ def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
     own = place[: start[1]][parts[0].complete].astype(np.int64)
     complete = np.zeros(len(first), np.bool_)
     complete[place[np.concatenate([p.complete for p in parts])]] = True
-    return TilePatch(tin, shared, own, counted, inside), complete
+    return TilePatch(tin, shared, own, counted, inside, relevant), complete
 
 
 def names_of(xy: F64) -> C128:

@@ -40,7 +40,7 @@ PART = 1_000_000
 #: Kinds of file that can be read from the middle.
 ENDINGS = (".las", ".laz")
 #: Layout of the archives; another number makes another folder.
-LAYOUT = 3
+LAYOUT = 4
 #: Farthest tile from the origin, in tiles: names stay whole numbers.
 FARTHEST = 2**40
 
@@ -202,6 +202,15 @@ class TileIndex:
     def __reduce__(self) -> tuple[Callable[..., TileIndex], tuple[object, ...]]:
         """Workers read it from the parts at rest, once: it goes with every task."""
         return index_at_rest, (self.cloud, self.hull.tobytes())
+
+    @property
+    def every_point(self) -> TileIndex:
+        """The tiles with the points that the surface was not made of, too."""
+        return self
+
+    def home(self, tile: Tile) -> Path:
+        """The folder in which the surface of a tile is at rest."""
+        return self.cloud.folder
 
     def points(self, tile: Tile) -> F64:
         """Points (n, 3) m of a tile in file order."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import dataclasses
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,26 +11,33 @@ import numpy as np
 
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I64, Bool, Tin
-from ladar_volume.tiles.array_file import ENDING, Array, read_arrays, write_arrays
+from ladar_volume.tiles.array_file import ENDING, Array, at_rest, read_arrays, write_arrays
 from ladar_volume.tiles.tile_stars import TileStars, tile_stars
-from ladar_volume.tiles.tile_store import Tile, TileIndex, digest
+from ladar_volume.tiles.tile_store import Tile, TileIndex, arrays_at_rest, digest
 from ladar_volume.tin.full_tin import corners_of, places_in
 from ladar_volume.tin.relevant import relevant_triangles
 
 #: Across a side of a triangle lies one of another tile, or the hull: this tile does not know.
 UNKNOWN = -2
-#: Arrays of its triangles, and of the vertices that a ground may be fitted to.
-ARRAYS = ("vertices", "triangles", "neighbours", "relevant", "row")
+#: Arrays of its triangles, of its own vertices, and of what counts of both.
+ARRAYS = ("vertices", "triangles", "neighbours", "row")
 USED = ("used_xyz", "used_shared", "used_row")
+COUNTS = ("relevant", "bridged", "used")
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Which triangles count, and the limits of that."""
+    """Which triangles count, and the limits of that: all, those within a limit of their edges or
+    circumcircles, or those where points were sampled (``sampled``).
+    """
 
     relevant: str = "all"
     max_edge_m: float = math.inf
     max_circumdiameter_m: float = math.inf
+
+
+#: All triangles count.
+EVERY = Limits()
 
 
 @dataclass(frozen=True)
@@ -39,7 +46,8 @@ class TileSurface:
     a side -1 for the hull, which is told at the tile's own vertices, :data:`UNKNOWN` for what is
     not · shared : (n,) points at each vertex · own : (n,) which vertices lie in the tile · counted
     : (m,) triangles that belong to it · row : (n,) number of the first point of the file there, -1
-    for vertices of other tiles · points, rounds : counts
+    for vertices of other tiles · bridged : (m,) triangles that count and bridge what was not
+    sampled · points, rounds : counts
     """
 
     tin: Tin
@@ -47,6 +55,7 @@ class TileSurface:
     own: Bool
     counted: Bool
     row: I64
+    bridged: Bool
     points: int
     rounds: int
 
@@ -59,32 +68,42 @@ class TileSurface:
 
 
 def surface_folder(index: TileIndex, limits: Limits) -> Path:
-    """Where the surfaces of all tiles are at rest."""
+    """Where what follows from the surfaces of all tiles is at rest."""
     return index.cloud.folder / f"surface_{digest(asdict(limits))}"
 
 
-def surface_path(index: TileIndex, limits: Limits, tile: Tile) -> Path:
-    """Where the surface of a tile is at rest."""
-    return surface_folder(index, limits) / f"{tile[0]}_{tile[1]}{ENDING}"
+def surface_path(index: TileIndex, tile: Tile) -> Path:
+    """Where the triangles of a tile are at rest."""
+    return index.home(tile) / "surface" / f"{tile[0]}_{tile[1]}{ENDING}"
 
 
 def surface_of(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
     """The surface of a tile, read where it is at rest; made anew where it is not or is damaged."""
-    path = surface_path(index, limits, tile)
-    with contextlib.suppress(InputError):
+    path = surface_path(index, tile)
+    try:
         found = read_arrays(path)
-        vertices, triangles, neighbours, relevant, row = (found[n] for n in ARRAYS)
-        tin = Tin(vertices, triangles, neighbours, relevant, row)
+        vertices, triangles, neighbours, row = (found[n] for n in ARRAYS)
+        every = np.ones(len(triangles), np.bool_)
+        tin = Tin(vertices, triangles, neighbours, every, row)
         points, rounds = found["counts"].tolist()
         shared, own, counted = (found[n] for n in ("shared", "own", "counted"))
-        return TileSurface(tin, shared, own, counted, row, points, rounds)
-    made = make_surface(index, limits, tile)
-    tin = made.tin
+        made = TileSurface(tin, shared, own, counted, row, ~every, points, rounds)
+    except InputError:
+        made = make_surface(index, tile)
+        write_surface(path, made)
+    if limits == EVERY:
+        return made
+    relevant, bridged, _ = counts_of(index, limits, tile, made)
+    tin = dataclasses.replace(made.tin, relevant=relevant)
+    return dataclasses.replace(made, tin=tin, bridged=bridged)
+
+
+def write_surface(path: Path, made: TileSurface) -> None:
+    """Put the triangles of a tile at rest."""
     arrays: dict[str, Array] = {
-        "vertices": tin.vertices,
-        "triangles": tin.triangles,
-        "neighbours": tin.neighbours,
-        "relevant": tin.relevant,
+        "vertices": made.tin.vertices,
+        "triangles": made.tin.triangles,
+        "neighbours": made.tin.neighbours,
         "row": made.row,
         "shared": made.shared,
         "own": made.own,
@@ -92,7 +111,38 @@ def surface_of(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
         "counts": np.array([made.points, made.rounds]),
     }
     write_arrays(path, arrays | dict(zip(USED, of_used(made), strict=True)))
-    return made
+
+
+def counts_path(index: TileIndex, limits: Limits, tile: Tile) -> Path:
+    """Where it is at rest what counts of a tile."""
+    return at_rest(surface_folder(index, limits), "counts", tile)
+
+
+def counts_of(
+    index: TileIndex, limits: Limits, tile: Tile, made: TileSurface | None = None
+) -> list[Array]:
+    """Which triangles of a tile count (m,), which of these bridge what was not sampled (m,), and
+    which of its own vertices (k,) are of the former. ``made`` is its surface, of which all count.
+    """
+    path = counts_path(index, limits, tile)
+
+    def within_limits() -> dict[str, Array]:
+        if limits.relevant == "sampled":
+            words = f"{path}: missing or damaged: run again"
+            raise InputError(words, reason="input_unreadable", value=str(path))
+        whole = surface_of(index, EVERY, tile) if made is None else made
+        longest = limits.max_edge_m, limits.max_circumdiameter_m
+        relevant = relevant_triangles(whole.tin, limits.relevant, *longest)
+        return dict(zip(COUNTS, counted_of(whole, relevant, ~whole.tin.relevant), strict=True))
+
+    return arrays_at_rest(path, COUNTS, within_limits)
+
+
+def counted_of(surface: TileSurface, relevant: Bool, bridged: Bool) -> tuple[Bool, Bool, Bool]:
+    """What :func:`counts_of` has of a surface of which all triangles counted until now."""
+    tin = dataclasses.replace(surface.tin, relevant=relevant)
+    used = dataclasses.replace(surface, tin=tin).used[surface.used]
+    return relevant, bridged & relevant, used
 
 
 def of_used(made: TileSurface) -> tuple[F64, F64, I64]:
@@ -103,25 +153,25 @@ def of_used(made: TileSurface) -> tuple[F64, F64, I64]:
 
 def used_of(index: TileIndex, limits: Limits, tile: Tile) -> tuple[F64, F64, I64]:
     """:func:`of_used` of the surface of a tile at rest."""
-    with contextlib.suppress(InputError):
-        xyz, shared, row = read_arrays(surface_path(index, limits, tile), USED).values()
+    try:
+        xyz, shared, row = read_arrays(surface_path(index, tile), USED).values()
+    except InputError:
+        xyz, shared, row = of_used(surface_of(index, EVERY, tile))
+    if limits == EVERY:
         return xyz, shared, row
-    return of_used(surface_of(index, limits, tile))
+    used = counts_of(index, limits, tile)[2]
+    return xyz[used], shared[used], row[used]
 
 
-def make_surface(index: TileIndex, limits: Limits, tile: Tile) -> TileSurface:
+def make_surface(index: TileIndex, tile: Tile) -> TileSurface:
     """Triangulate a tile and keep what belongs to it."""
     stars, first = tile_stars(index, tile), index.place_rows(tile)
-    tin = stars.tin
-    row = np.full(len(tin.vertices), -1, np.int64)
-    row[stars.own] = first[tin.source[stars.own]]
-    counts = relevant_triangles(
-        tin, limits.relevant, limits.max_edge_m, limits.max_circumdiameter_m
-    )
-    return part_of_tile(stars, row, counts, index.count[tile])
+    row = np.full(len(stars.tin.vertices), -1, np.int64)
+    row[stars.own] = first[stars.tin.source[stars.own]]
+    return part_of_tile(stars, row, index.count[tile])
 
 
-def part_of_tile(stars: TileStars, row: I64, counts: Bool, points: int) -> TileSurface:
+def part_of_tile(stars: TileStars, row: I64, points: int) -> TileSurface:
     """The triangles that meet a tile's vertices, and their corners, numbered anew."""
     tin, star = stars.tin, stars.star
     corners = corners_of(tin.triangles[star], len(tin.vertices))
@@ -133,13 +183,15 @@ def part_of_tile(stars: TileStars, row: I64, counts: Bool, points: int) -> TileS
     for k in range(3):  # beyond a side of other tiles' vertices there may be more
         at = ~own[triangles[:, (k + 1) % 3]] & ~own[triangles[:, (k + 2) % 3]]
         across[at & (across[:, k] == -1), k] = UNKNOWN
-    small = Tin(tin.vertices[corners], triangles, across, counts[star], row[corners])
+    every = np.ones(len(triangles), np.bool_)
+    small = Tin(tin.vertices[corners], triangles, across, every, row[corners])
     return TileSurface(
         small,
         stars.shared[corners],
         own,
         stars.counted[star],
         row[corners],
+        ~every,
         points,
         stars.rounds,
     )

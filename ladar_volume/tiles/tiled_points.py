@@ -20,7 +20,8 @@ from ladar_volume.model.records import F64
 from ladar_volume.tiles import tile_outline
 from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
 from ladar_volume.tiles.cleaning.tiled_cleaning import Cleaner
-from ladar_volume.tiles.tile_batches import LEAST, TiledCloud, run_batch
+from ladar_volume.tiles.sampled.tiled_area import AreaFinder
+from ladar_volume.tiles.tile_batches import LEAST, TiledCloud, ask, run_batch
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_places import hull_of_places, joined_hull
 from ladar_volume.tiles.tile_store import (
@@ -30,8 +31,9 @@ from ladar_volume.tiles.tile_store import (
     distribute_part,
     tile_index,
 )
-from ladar_volume.tiles.tile_surface import Limits, surface_of
+from ladar_volume.tiles.tile_surface import EVERY, Limits, surface_of
 from ladar_volume.tiles.tile_work import Workers, each_result, results
+from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tin.full_tin import footprint_areas
 
 #: Up to this many tiles are taken whatever they hold. More must hold this many points each in the
@@ -88,20 +90,40 @@ def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTil
 
 @dataclass(frozen=True)
 class PointsTask:
-    """sigma_m : of the heights, None where it is to be told · clean : whether strays are left
-    out
+    """limits : which triangles count · sigma_m : of the heights, None where it is to be told ·
+    clean : whether strays are left out
     """
 
+    limits: Limits
     sigma_m: float | None
     clean: bool
 
 
-def triangulated(
-    cloud: CloudParts, limits: Limits, task: PointsTask, workers: Workers, progress: Progress
-) -> tuple[TiledCloud, dict[Tile, TriangulatedTile], float | None]:
-    """Deal a cloud out into tiles and triangulate each; and the noise of the points, m, None where
-    that is told by the tiles.
+@dataclass(frozen=True)
+class Triangulated:
+    """of : the tiles, with the triangles that count · tiles : what is known of each, in the order
+    of their names · sigma_m : noise of the points, NaN where no tile can tell · rasters : that tell
+    how far apart these lie, None where that is not known yet · sampled : whether the sampled area
+    is told from that
     """
+
+    of: TiledCloud
+    tiles: list[TriangulatedTile]
+    sigma_m: float
+    rasters: Rasters | None
+    sampled: bool
+
+    @property
+    def size(self) -> SiteSize:
+        """The size of the site that the tiles make up."""
+        area = math.fsum(t.area_m2 for t in self.tiles)
+        return SiteSize(area, sum(t.vertices for t in self.tiles), self.sigma_m)
+
+
+def triangulated(
+    cloud: CloudParts, task: PointsTask, workers: Workers, progress: Progress
+) -> Triangulated:
+    """Deal a cloud out into tiles and triangulate each."""
     each = -(-cloud.points // cloud.count)
     results(
         workers,
@@ -113,25 +135,34 @@ def triangulated(
     check_tile(index, cloud.tile_m)
     sigma = task.sigma_m
     if task.clean:
-        index = without_strays(TiledCloud(index, limits), workers, progress)
+        index = without_strays(TiledCloud(index, EVERY), workers, progress)
         if sigma is None and math.isfinite(index.sigma_m):
             sigma = index.sigma_m
     work = EachTile(workers, index, progress)
-    ends = work.done(TiledCloud(index, limits), sort_tile, "sorted", 16)
-    of = TiledCloud(dataclasses.replace(index, hull=joined_hull(list(ends.values()))), limits)
+    ends = work.done(TiledCloud(index, EVERY), sort_tile, "sorted", 16)
+    index = dataclasses.replace(index, hull=joined_hull(list(ends.values())))
+    by_area = task.limits.relevant == "sampled"
+    of = TiledCloud(index, EVERY if by_area else task.limits)
     known = work.done(of, partial(triangulate_tile, noise=sigma is None), "surface", 4)
-    return of, known, sigma
+    noise = noise_of(list(known.values())) if sigma is None else sigma
+    if not by_area:
+        return Triangulated(of, [known[t] for t in of.tiles], noise, None, False)
+    found = AreaFinder(of, workers, ends, in_points(of, progress)).found()
+    tiles = ask(workers, found.of, triangulate_tile, [(False,)] * len(found.of.tiles))
+    return Triangulated(found.of, tiles, noise, found.rasters, found.told)
+
+
+def in_points(of: TiledCloud, progress: Progress) -> Callable[[str, int], None]:
+    """Progress in tiles as one in points."""
+    tiles, total = len(of.tiles), sum(of.index.count.values())
+    return lambda stage, done: progress(stage, total, done * total // tiles)
 
 
 def without_strays(of: TiledCloud, workers: Workers, progress: Progress) -> CleanedTiles:
     """The tiles of a cloud without its strays. Raises :class:`CloudError` where none is left."""
-    tiles, total = len(of.tiles), sum(of.index.count.values())
-
-    def report(stage: str, done: int) -> None:
-        progress(f"strays: {stage}", total, done * total // tiles)
-
-    found = Cleaner(of, workers, report).cleaned()
+    found = Cleaner(of, workers, in_points(of, progress)).cleaned()
     if not found.count:
+        total = sum(of.index.count.values())
         words = f"{of.index.cloud.path}: all {total} points are strays: give --clean off"
         raise CloudError(words, reason="cloud_empty")
     return found
@@ -176,12 +207,6 @@ def check_tile(index: TileIndex, tile_m: float) -> None:
         "unit or scale",
         value=tile_m,
     )
-
-
-def size_of_tiles(tiles: list[TriangulatedTile], sigma_m: float) -> SiteSize:
-    """The size of the site that tiles make up."""
-    area = math.fsum(t.area_m2 for t in tiles)
-    return SiteSize(area, sum(t.vertices for t in tiles), sigma_m)
 
 
 def noise_of(tiles: list[TriangulatedTile]) -> float:

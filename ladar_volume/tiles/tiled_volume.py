@@ -36,11 +36,9 @@ from ladar_volume.tiles.tiled_outline import OutlineFinder
 from ladar_volume.tiles.tiled_points import (
     PointsTask,
     Progress,
-    noise_of,
-    size_of_tiles,
     triangulated,
 )
-from ladar_volume.tiles.unseen.tiled_judgement import judged
+from ladar_volume.tiles.unseen.tiled_judgement import Sought, judged
 from ladar_volume.uncertainty.ground_field import (
     Roughness,
     field_squares,
@@ -97,15 +95,14 @@ def volume_by_tiles(
     :class:`GroundError` where no ground can be fitted, :class:`VolumeError` where nothing lies
     inside the outline.
     """
-    points = PointsTask(task.sigma_m, task.clean)
-    of, known, told = triangulated(cloud, task.limits, points, workers, progress)
-    tiles, parameters = list(known.values()), task.parameters
-    sigma = noise_of(tiles) if told is None else told
+    points = PointsTask(task.limits, task.sigma_m, task.clean)
+    made, parameters = triangulated(cloud, points, workers, progress), task.parameters
+    of, sigma = made.of, made.sigma_m
     if task.named is not None:
-        parameters = site_lengths(parameters, size_of_tiles(tiles, sigma), task.named)
+        parameters = site_lengths(parameters, made.size, task.named)
     fitter, v, around, folder = GroundFitter(of, workers, sigma), parameters.volume, None, None
     if v.base == "ground":
-        around = around_ground(fitter, parameters, [known[t].reach for t in of.tiles])
+        around = around_ground(fitter, parameters, [t.reach for t in made.tiles])
         base, folder = around.found.fit.plane, around.found.folder
     else:
         base = design_surface([v.level_m] if v.base == "level" else list(v.plane))
@@ -114,9 +111,10 @@ def volume_by_tiles(
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
     fit = None if around is None else around.found.fit
     volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
-    if not (task.between and task.limits.relevant == "all" and math.isfinite(volume.sigma_m3)):
+    if not (task.between and math.isfinite(volume.sigma_m3)):
         return TiledVolume(volume, None, base, of.index, sums, sigma, parameters)
-    volume, between, doubts = judged(volume, fitter, folder, base, v, around)
+    sought = Sought(fitter, folder, base, made.rasters, made.sampled)
+    volume, between, doubts = judged(volume, sought, v, around)
     return TiledVolume(volume, between, base, of.index, sums, sigma, parameters, tuple(doubts))
 
 

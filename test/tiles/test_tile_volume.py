@@ -64,9 +64,7 @@ def test_the_surface_around_a_tile_is_that_of_all_points_and_no_larger_than_it_m
         assert len(xy) < len(names) // 8
     first = of.tiles[0]
     for tile in of.tiles[1:]:  # what lies at rest is that of another tile
-        shutil.copy(
-            surface_path(of.index, of.limits, first), surface_path(of.index, of.limits, tile)
-        )
+        shutil.copy(surface_path(of.index, first), surface_path(of.index, tile))
     with pytest.raises(InputError, match="delete it and run again"):
         patch_of(of, first, surface_of(of.index, of.limits, first), None, 6)
 
@@ -82,7 +80,7 @@ def test_what_is_done_is_not_done_again_and_what_is_damaged_is_told(tmp_path):
     path = write(tmp_path / "cloud.laz", random(3000, np.random.default_rng(8)))
     found = by_tiles(path, tmp_path / "store", 20.0, part=1000)
     first, tiles = found.volume, sorted(found.index.count)
-    gone, kept, *others = (surface_path(found.index, Limits(), t) for t in tiles)
+    gone, kept, *others = (surface_path(found.index, t) for t in tiles)
     gone.unlink()
     kept.write_bytes(kept.read_bytes()[:-500])
     done = [path.stat().st_mtime_ns for path in others]

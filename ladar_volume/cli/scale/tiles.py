@@ -13,6 +13,7 @@ from ladar_volume.cli.arguments.scale.work_options import TILE_M
 from ladar_volume.cli.inputs.base_choice import parameters_of
 from ladar_volume.cli.inputs.reading import reading_of
 from ladar_volume.cli.scale.workers import Progress, check_workers, progress_on, workers_of
+from ladar_volume.cli.surface_options import relevant_option
 from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
@@ -86,8 +87,10 @@ def requested_parameters(a: argparse.Namespace) -> Parameters:
 
 
 def limits_of(a: argparse.Namespace) -> Limits:
-    """Which triangles count."""
-    relevant = "edge" if a.max_edge is not None else "circumcircle" if a.max_circle else "all"
+    """Which triangles count. Raises :class:`ConfigurationError`."""
+    relevant = relevant_option(a)
+    if relevant == "corners":  # there are no artificial ones
+        relevant = "all"
     return Limits(relevant, a.max_edge or math.inf, a.max_circle or math.inf)
 
 
@@ -157,15 +160,13 @@ def held_words(found: TiledVolume) -> str:
 
 
 def doubts_of(found: TiledVolume, ground: bool, a: argparse.Namespace) -> list[Doubt]:
-    """What speaks against a volume by tiles; ``volume`` was told to leave the edge alone."""
+    """What speaks against a volume by tiles."""
     points = sum(s.points for s in found.sums)
     clean = clean_facts(found, a)
     out, missing = (
         [*found.doubts, *stray_doubts(clean["strays"], points + clean["strays"])],
         list[str](),
     )
-    if a.verb == "tiles":
-        missing += ["the edge of what was sampled"]
     if found.between is None:
         missing += ["gaps", "what lies between the points"]
         missing += ["other readings of the ground"] * ground
@@ -191,19 +192,3 @@ def refuse_unknown_options(a: argparse.Namespace) -> None:
             words = f"{option} is not done by tiles: leave it out, or use volume without --tile "
             words += "and --dask"
             raise ConfigurationError(words, value=name)
-
-
-def refuse_what_is_judged(a: argparse.Namespace) -> None:
-    """Raises :class:`ConfigurationError` for what ``volume`` does besides unless it is told not
-    to.
-    """
-    by_limit = a.max_edge is not None or a.max_circle is not None
-    if not by_limit and a.relevant != "all":
-        words = "the sampled area is told from the whole cloud: by tiles give --relevant all, or "
-        raise ConfigurationError(f"{words}--max-edge, --max-circle", value=a.relevant)
-
-
-def run_volume(arguments: argparse.Namespace) -> int:
-    """``ladar_volume volume`` by tiles."""
-    refuse_what_is_judged(arguments)
-    return run(arguments)

@@ -81,17 +81,35 @@ def outline_variance(tin: Tin, mask: Bool, height: F64, areas: list[SampledArea 
     alone.
     """
     told = [a for a in areas if a is not None and np.isfinite(a.spacing_m)]
-    is_open = border(tin, mask)[2]
-    if len(told) < len(areas) or not is_open.any():
+    if len(told) < len(areas) or not mask.any():
         return 0.0
+    median = float(np.median(footprint_areas(tin.vertices, tin.triangles[mask])))
+    return strip_variance(strips_of(tin, mask, height, median))
+
+
+def strip_variance(each: F64) -> float:
+    """The variance, m⁶, from what the strips hold by direction (:data:`DIRECTIONS`,), m³."""
+    return max(float(each.sum()) ** 2, float(each @ each))
+
+
+def strips_of(tin: Tin, mask: Bool, height: F64, median_m2: float, own: Bool | None = None) -> F64:
+    """What the strips beyond the open sides of triangles (m,) hold by direction
+    (:data:`DIRECTIONS`,), m³. height : (n,) m of the vertices above the base · median_m2 : area of
+    a triangle that counts · own : (n,) vertices; only sides whose first end by x, then y is one of
+    them count
+    """
+    is_open = border(tin, mask)[2]
     t, k = (side[is_open] for side in boundary_sides(tin, mask))
     area = np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
-    least = 0.5 * FLAT * float(np.median(area[mask]))
+    least = 0.5 * FLAT * median_m2
     cell = np.asarray(cell_kernel(tin.triangles, area, mask, least, len(tin.vertices)))
     ends = np.asarray(fine_kernel(tin.triangles, tin.neighbours, mask, area, cell, t, k))
+    if own is not None:
+        a, b = (tin.vertices[ends[:, j], :2] for j in (0, 1))
+        second = (b[:, 0] < a[:, 0]) | ((b[:, 0] == a[:, 0]) & (b[:, 1] < a[:, 1]))
+        ends = ends[own[np.where(second, ends[:, 1], ends[:, 0])]]
     d = tin.vertices[ends[:, 1], :2] - tin.vertices[ends[:, 0], :2]
     strip = cell[ends].mean(axis=1) * height[ends].mean(axis=1)
     turn = np.arctan2(d[:, 1], d[:, 0]) / (2.0 * np.pi)
     direction = np.floor((turn % 1.0) * DIRECTIONS).astype(np.int64) % DIRECTIONS
-    each = np.bincount(direction, strip, minlength=DIRECTIONS)
-    return max(float(strip.sum()) ** 2, float(each @ each))
+    return np.bincount(direction, strip, minlength=DIRECTIONS).astype(np.float64)

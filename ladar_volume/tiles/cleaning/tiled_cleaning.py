@@ -93,7 +93,9 @@ class Cleaner:
     def _each(self, stage: str, op: Callable[..., R], *more: object) -> list[R]:
         """The answers of all tiles, in the order of their names."""
         asked = [more] * len(self.of.tiles)
-        return ask(self.workers, self.of, op, asked, lambda done: self.progress(stage, done))
+        return ask(
+            self.workers, self.of, op, asked, lambda done: self.progress(f"strays: {stage}", done)
+        )
 
     def cleaned(self) -> CleanedTiles:
         """The tiles without strays; read where they are at rest and sound."""

@@ -4,6 +4,7 @@ whether walls stand in it.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -79,20 +80,20 @@ def gathered(of: TiledCloud, region: Region, tiles: Sequence[Tile]) -> tuple[Tin
         xy.append(s.tin.vertices[s.own])
         rows.append(s.row[s.own])
     patch, _ = joined(parts)
-    return in_order_of_file(patch.tin, np.concatenate(xy), np.concatenate(rows))
+    tin = dataclasses.replace(patch.tin, relevant=patch.relevant)
+    return in_order_of_file(tin, np.concatenate(xy), np.concatenate(rows)), patch.inside
 
 
-def in_order_of_file(tin: Tin, xyz: F64, row: I64) -> tuple[Tin, Bool]:
+def in_order_of_file(tin: Tin, xyz: F64, row: I64) -> Tin:
     """A surface with its vertices by their rows (k,) of the file, those at xyz (k, 3), the others
-    last; and which triangles are relevant, of which all now are.
+    last.
     """
     at = rows_at(xyz, tin.vertices)
     number = np.where(at >= 0, row[at], np.iinfo(np.int64).max)
     order = np.argsort(number, kind="stable")
     place = places_in(order, len(order))
-    every = np.ones(len(tin.triangles), np.bool_)
-    moved = Tin(tin.vertices[order], place[tin.triangles], tin.neighbours, every, number[order])
-    return moved, tin.relevant
+    corners = place[tin.triangles]
+    return Tin(tin.vertices[order], corners, tin.neighbours, tin.relevant, number[order])
 
 
 def judged_body(of: TiledCloud, task: BodyTask) -> JudgedBody:

@@ -74,7 +74,7 @@ class Seen:
 
     def of_tile(self, surface: TileSurface, tile: Tile) -> Bool:
         """The triangles (m,) of a tile that are looked at."""
-        out = inside_of(surface, tile, self.outline) & surface.counted
+        out = inside_of(surface, tile, self.outline) & surface.counted & ~surface.bridged
         if self.squares.every == 1:
             return out
 
@@ -198,7 +198,7 @@ def coarser_around(kept: KeptPoints, tiles: list[Tile]) -> tuple[Tin, F64]:
     for one in found:
         none, every = np.zeros(len(one.vertices), np.bool_), np.ones(len(one.triangles), np.bool_)
         zero = none.astype(np.float64)
-        parts.append(SurfacePart(one.vertices, one.triangles, zero, none, ~every, every))
+        parts.append(SurfacePart(one.vertices, one.triangles, zero, none, ~every, every, every))
     patch, _ = joined(parts)
     return patch.tin, np.concatenate([one.hull for one in found])
 

@@ -22,7 +22,7 @@ from ladar_volume.clouds.between_points import (
 from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles.array_file import write_arrays
-from ladar_volume.tiles.tile_batches import ask, ask_merged, givers
+from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_places import joined_hull
 from ladar_volume.tiles.tile_store import digest
@@ -34,22 +34,28 @@ from ladar_volume.tiles.unseen.tile_spacing import Cells, KeptPoints, Rasters
 from ladar_volume.tin.sampled_area import FEWEST, SAMPLED, beside_full_blocks, cell_sizes
 
 R = TypeVar("R")
-NOTHING = BetweenPoints(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class BetweenFinder:
-    """fitter : asks the tiles · outline : where the triangles inside are at rest, None for all ·
-    rasters : that tell spacings, None for too few points
+    """fitter : asks the tiles · every : the same tiles, of which all triangles count · outline :
+    where the triangles inside are at rest, None for all · rasters : that tell spacings, None for
+    too few points · hidden_m3 : what may lie under triangles that bridge what was not sampled
     """
 
     fitter: GroundFitter
+    every: TiledCloud
     outline: Path | None
     rasters: Rasters | None
+    hidden_m3: float = 0.0
 
     def _ask(self, op: Callable[..., R], *more: object) -> list[R]:
         of = self.fitter.of
         return ask(self.fitter.workers, of, op, [more] * len(of.tiles))
+
+    def _points(self, op: Callable[..., R], more: Sequence[tuple[object, ...]]) -> list[R]:
+        """What is asked of all points, whichever triangles count."""
+        return ask(self.fitter.workers, self.every, op, more)
 
     def _merged(self, op: Callable[..., R], merge: Callable[[Sequence[R]], R], *more: object) -> R:
         of = self.fitter.of
@@ -60,15 +66,16 @@ class BetweenFinder:
 
     def found(self) -> BetweenPoints:
         """Steps and curvature between the points; 0 where these are too few to tell."""
-        rasters = self.rasters
+        rasters, nothing = self.rasters, BetweenPoints(0.0, 0.0, self.hidden_m3)
         if rasters is None:
-            return NOTHING
-        told = merged(self._ask(tile_spacing.tell_spacings, rasters))
+            return nothing
+        same: list[tuple[object, ...]] = [(rasters,)] * len(self.every.tiles)
+        told = merged(self._points(tile_spacing.tell_spacings, same))
         whole = Squares(rasters.axes, rasters.low, 1.0, 1)
         seen = Seen(self.outline, whole, rasters.folder)
         facts = self._facts(seen)
         if facts[0] < FEWEST:
-            return NOTHING
+            return nothing
         area, every = facts[1], squares_every(int(facts[0]))
         side = SQUARE * median_of(told, rasters.count)
         if every >= 2 and math.isfinite(side):
@@ -84,9 +91,9 @@ class BetweenFinder:
         for shift in shifts_for(int(facts[0])):
             coarser = self._coarser(rasters, extents, shift, seen, extent)
             if coarser is None:
-                return NOTHING
+                return nothing
             found.append(coarser)
-        return from_coarser(found, finest, float(facts[1] / area), 0.0)
+        return from_coarser(found, finest, float(facts[1] / area), self.hidden_m3)
 
     def _facts(self, seen: Seen) -> F64:
         """Number, area and extent (6,) of the triangles looked at."""
@@ -135,8 +142,9 @@ class BetweenFinder:
         self, rasters: Rasters, extents: F64, shift: tuple[float, float]
     ) -> KeptPoints | None:
         """The vertices of a coarser surface; None where they are too few."""
-        of = self.fitter.of
-        cells = self._ask(tile_spacing.border_cells, rasters, extents, shift)
+        of = self.every
+        same: list[tuple[object, ...]] = [(rasters, extents, shift)] * len(of.tiles)
+        cells = self._points(tile_spacing.border_cells, same)
         every = Cells(*(np.concatenate([c[k] for c in cells]) for k in range(3)))
         loses = ~tile_spacing.winners(every)
         first = np.cumsum([len(c.row) for c in cells])[:-1]
@@ -145,7 +153,7 @@ class BetweenFinder:
             for rows, loses in zip(np.split(every.row, first), np.split(loses, first), strict=True)
         ]
         more = [(rasters, shift, rows) for rows in lost]
-        found = self._each(tile_spacing.keep, more)
+        found = self._points(tile_spacing.keep, more)
         if sum(n for n, _, _ in found) < FEWEST // 4:
             return None
         boxes = {t: f[1] for t, f in zip(of.tiles, found, strict=True) if f[1] is not None}

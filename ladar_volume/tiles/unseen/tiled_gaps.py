@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.records import F64, I64, Bool, Plane
 from ladar_volume.tiles.tile_batches import ask
 from ladar_volume.tiles.tile_store import digest
 from ladar_volume.tiles.tile_surface import surface_folder
@@ -31,6 +32,19 @@ from ladar_volume.volume.field_checks.gaps import (
 
 
 @dataclass(frozen=True)
+class FoundGaps:
+    """volume : what the gaps do to it · areas : (k,) m² of all, the largest first · folder : where
+    it is at rest which part of a tile its triangles are of · told : of each tile, of which of its
+    parts (p,) the surface is told
+    """
+
+    volume: BridgedVolume
+    areas: F64
+    folder: Path
+    told: list[Bool]
+
+
+@dataclass(frozen=True)
 class GapFinder:
     """fitter : asks the tiles · outline : where the triangles inside are at rest, None for all ·
     base : that heights count from · rasters : that tell spacings, None for too few points
@@ -41,23 +55,29 @@ class GapFinder:
     base: Plane
     rasters: Rasters | None
 
-    def found(self) -> tuple[BridgedVolume, float] | None:
-        """What the gaps do to the volume, and their area, m²; None where there are none."""
+    def found(self) -> FoundGaps:
+        """The gaps, and what they do to the volume."""
         of, workers = self.fitter.of, self.fitter.workers
         usual = median_of_tiles(workers, of, tile_gaps.longest_edges, self.outline)
         folder = surface_folder(of.index, of.limits) / f"gaps_{digest([str(self.outline)])}"
         asked = Spanned(self.outline, usual, self.rasters, folder)
         wide = ask(workers, of, tile_gaps.wide_parts, [(asked,)] * len(of.tiles))
         rank, areas = gaps_of_parts(wide)
+        each = np.cumsum([w.parts.count for w in wide])[:-1]
         if not len(areas):
-            return None
+            none = BridgedVolume(0.0, 0.0, (), 0.0)
+            return FoundGaps(none, areas, folder, np.split(np.zeros(len(rank), np.bool_), each))
         tasks = [
             GapTask(corners, self.base, self.fitter.sigma_m, usual)
             for corners in self._corners(folder, wide, np.where(rank < MOST, rank, -1))
         ]
         task = partial(tile_gaps.gap_surface, of)
         made = dict(results(workers, task, list(enumerate(tasks)), lambda _: None))
-        return bridged_together([made[k] for k in range(len(tasks))], areas), float(areas.sum())
+        volume = bridged_together([made[k] for k in range(len(tasks))], areas)
+        told = np.ones(len(areas) + 1, np.bool_)
+        told[: len(volume.gaps)] = [math.isfinite(gap.sigma_m3) for gap in volume.gaps]
+        told[-1] = False  # of what is no gap
+        return FoundGaps(volume, areas, folder, np.split(told[rank], each))
 
     def _corners(self, folder: Path, wide: Sequence[WideParts], gap: I64) -> list[F64]:
         """The corners (t, 3, 3) of the triangles over each gap, from the gap (p,) of each part."""

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +16,7 @@ from ladar_volume.clouds.volume_verdict import (
     base_doubts,
     coarse_doubts,
     open_doubts,
+    unseen_doubts,
     with_between_points,
     with_bridged,
     with_lines,
@@ -30,8 +33,11 @@ from ladar_volume.tiles.readings.tiled_body import (
     with_growth,
 )
 from ladar_volume.tiles.readings.tiled_readings import Around, ground_readings
+from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tiled_ground import GroundFitter
+from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tiles.unseen.tiled_between import BetweenFinder, filled_rasters
+from ladar_volume.tiles.unseen.tiled_bridges import bridged_of, outline_of
 from ladar_volume.tiles.unseen.tiled_gaps import GapFinder
 from ladar_volume.tiles.unseen.tiled_layers import found_layers
 from ladar_volume.volume.field_checks.base_readings import unsettled
@@ -47,29 +53,45 @@ class Judged(NamedTuple):
     doubts: list[Doubt]
 
 
-def judged(
-    volume: CloudVolume,
-    fitter: GroundFitter,
-    outline: Path | None,
-    base: Plane,
-    v: VolumeParameters,
-    around: Around | None,
-) -> Judged:
-    """A volume above a base with lines for what lies over gaps and between the points, and above a
-    base that is not the cloud's own ground for two layers. outline : where the triangles inside are
-    at rest, None for all · around : that asks about the cloud's own ground, None for another base
+@dataclass(frozen=True)
+class Sought:
+    """What is judged. fitter : asks the tiles · outline : where the triangles inside are at rest,
+    None for all that count · base : that heights count from · rasters : that tell how far apart all
+    points lie, None where that is not known yet · sampled : whether the sampled area is told from
+    that
     """
-    doubts: list[Doubt] = []
-    rasters = filled_rasters(fitter, outline)
-    gaps = GapFinder(fitter, outline, base, rasters).found()
-    if gaps is not None:
-        volume, doubts = with_bridged(volume, *gaps, v.outline)
-    between = BetweenFinder(fitter, outline, rasters).found()
+
+    fitter: GroundFitter
+    outline: Path | None
+    base: Plane
+    rasters: Rasters | None
+    sampled: bool
+
+
+def judged(
+    volume: CloudVolume, sought: Sought, v: VolumeParameters, around: Around | None
+) -> Judged:
+    """A volume above a base with lines for what lies over gaps, between the points and at the edge
+    of what was sampled, and above a base that is not the cloud's own ground for two layers. around
+    : that asks about the cloud's own ground, None for another base
+    """
+    fitter, outline, base = sought.fitter, sought.outline, sought.base
+    every = dataclasses.replace(fitter, of=dataclasses.replace(fitter.of, limits=EVERY))
+    rasters = sought.rasters or filled_rasters(every, outline)
+    gaps, doubts = GapFinder(fitter, outline, base, rasters).found(), list[Doubt]()
+    if gaps.areas.size:
+        volume, doubts = with_bridged(volume, gaps.volume, float(gaps.areas.sum()), v.outline)
+    bridged = bridged_of(fitter, outline, base, gaps)
+    between = BetweenFinder(fitter, every.of, outline, rasters, bridged.hidden_m3).found()
     volume = with_between_points(volume, between)
-    if around is not None:
-        volume, doubts = above_ground(volume, around, v, [*doubts, *coarse_doubts(volume, between)])
-        return Judged(volume, between, doubts)
+    if sought.sampled:
+        variance = outline_of(fitter, outline, base)
+        volume = with_lines(volume, {"outline": variance}) if variance > 0.0 else volume
+    doubts = doubts or unseen_doubts(bridged.bridged_m2, bridged.inside_m2)
     doubts += coarse_doubts(volume, between)
+    if around is not None:
+        volume, doubts = above_ground(volume, around, v, doubts)
+        return Judged(volume, between, doubts)
     more, sigma_m3 = layer_doubts(found_layers(fitter), volume.area_m2, volume.sigma_m3)
     volume = with_lines(volume, {"layers": sigma_m3**2}) if more else volume
     return Judged(volume, between, [*doubts, *more])

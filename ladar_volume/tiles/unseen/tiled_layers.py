@@ -18,7 +18,7 @@ from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_patch import in_box, tiles_in
-from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tiled_ground import GroundFitter
 
 #: First width around the tile in which neighbours are sought, in mean distances of its points.
@@ -58,7 +58,7 @@ def height_step(fitter: GroundFitter) -> float:
 
 def hashed(of: TiledCloud, tile: Tile) -> F64:
     """The points (k, 3) of a tile that may tell the step."""
-    return lowest_hashes(of.index.places(tile)[:, :3])
+    return lowest_hashes(of.index.every_point.places(tile)[:, :3])
 
 
 def neighbours_of(of: TiledCloud, tile: Tile, own: F64) -> tuple[F64, F64]:
@@ -71,25 +71,25 @@ def neighbours_of(of: TiledCloud, tile: Tile, own: F64) -> tuple[F64, F64]:
     low, high = own[:, :2].min(axis=0), own[:, :2].max(axis=0)
     while True:
         box = (*(low - width).tolist(), *(high + width).tolist())
-        points = distinct_in_box(of, box)
+        points = distinct_in_box(of.index.every_point, box)
         if len(points) > NEIGHBOURS:
             rows = first_at(points, own)
             near = neighbours(points, np.arange(len(points)), rows)
             far = np.hypot(*(near[..., :2] - own[:, None, :2]).transpose(2, 0, 1)).max()
-            if far <= width or len(points) >= sum(of.index.count.values()):
+            if far <= width or len(points) >= sum(of.index.every_point.count.values()):
                 return near, points[rows]
         width *= 2.0
 
 
-def distinct_in_box(of: TiledCloud, box: Box) -> F64:
+def distinct_in_box(index: TileIndex, box: Box) -> F64:
     """The points (n, 3) in a box, each once, in the order of the file."""
     found, rows = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
-    for tile in tiles_in(of.index, box):
-        places = of.index.places(tile)
+    for tile in tiles_in(index, box):
+        places = index.places(tile)
         if (places[:, 3] == 1.0).all():  # as most tiles are: no need for the parts
-            points, row = places[:, :3], of.index.place_rows(tile)
+            points, row = places[:, :3], index.place_rows(tile)
         else:
-            points, row = of.index.points(tile), of.index.rows(tile)
+            points, row = index.points(tile), index.rows(tile)
         some = in_box(points, box)
         found.append(points[some])
         rows.append(row[some])

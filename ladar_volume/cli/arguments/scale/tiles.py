@@ -77,6 +77,13 @@ def _add_surface(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="stray points: auto leaves out those off the surface (default), off none",
     )
+    add_parameter(
+        g,
+        "--relevant",
+        "volume.relevant",
+        choices=("sampled", "all"),
+        more="default sampled: where points were measured, open notches and gaps left out",
+    )
     limit = g.add_mutually_exclusive_group()
     add_parameter(limit, "--max-edge", "volume.max_edge_m")
     add_parameter(limit, "--max-circle", "volume.max_circumdiameter_m")
