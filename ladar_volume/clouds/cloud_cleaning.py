@@ -340,6 +340,13 @@ def stretches_of(count: int) -> tuple[I64, int]:
     return np.linspace(0, count - STRETCH, STRETCHES).astype(np.int64), STRETCH
 
 
+def noise_along_curve(points: F64) -> CloudNoise:
+    """The noise of points (n, 3), m, that are not in the order of place; raises as
+    :func:`cloud_noise` does.
+    """
+    return cloud_noise(stretches(in_order_of_place(points)[1]))
+
+
 def noise_if_told(points: F64) -> CloudNoise | None:
     """The noise of points (n, 3), m; None where they do not tell it."""
     try:

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.clouds.cloud_cleaning import CleaningResult, clean
-from ladar_volume.clouds.cloud_noise import CloudNoise, cloud_noise
+from ladar_volume.clouds.cloud_cleaning import CleaningResult, clean, noise_along_curve
+from ladar_volume.clouds.cloud_noise import CloudNoise
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.clouds.survey.flight_errors import FlightErrors, vertex_slopes
@@ -122,7 +122,7 @@ class CloudSurface:
 
 def local_sigma(points: F64) -> float:
     """Standard deviation, m, of the heights of points (n, 3): see :func:`cloud_noise`."""
-    return cloud_noise(points).sigma_m
+    return noise_along_curve(points).sigma_m
 
 
 def remove_strays(points: F64, how: str) -> CleaningResult:
@@ -201,7 +201,7 @@ def noise(
     """
     if sigma_m is None:
         try:
-            found = known or cloud_noise(points)
+            found = known or noise_along_curve(points)
             return np.full(len(points), found.sigma_m), found.words
         except SurfaceError as error:
             return None, f"unknown: {error}"

@@ -132,7 +132,8 @@ def counts_of(
             raise InputError(words, reason="input_unreadable", value=str(path))
         whole = surface_of(index, EVERY, tile) if made is None else made
         longest = limits.max_edge_m, limits.max_circumdiameter_m
-        relevant = relevant_triangles(whole.tin, limits.relevant, *longest)
+        none = np.zeros(0, np.int64)  # is artificial
+        relevant = relevant_triangles(whole.tin, limits.relevant, *longest, none)
         return dict(zip(COUNTS, counted_of(whole, relevant, ~whole.tin.relevant), strict=True))
 
     return arrays_at_rest(path, COUNTS, within_limits)

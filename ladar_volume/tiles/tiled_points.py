@@ -13,9 +13,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from ladar_volume.clouds.cloud_noise import cloud_noise
+from ladar_volume.clouds.cloud_noise import CloudNoise
 from ladar_volume.clouds.sampling.site_lengths import SiteSize
-from ladar_volume.model.errors import CloudError, ParameterValueError, SurfaceError
+from ladar_volume.model.errors import CloudError, ParameterValueError
 from ladar_volume.model.records import F64
 from ladar_volume.tiles import tile_outline
 from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
@@ -48,23 +48,13 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class TriangulatedTile:
-    """What is known of a tile once it is triangulated: its reach, its points and their noise, m,
-    NaN where it is not asked for or cannot be told, the area that counts and the vertices on it.
+    """What is known of a tile once it is triangulated: its reach, the area that counts, and how
+    many vertices lie on it.
     """
 
     reach: Box
-    points: int
-    sigma_m: float
     area_m2: float
     vertices: int
-
-
-def noise_of_tile(points: F64) -> float | None:
-    """Standard deviation, m, of the heights of points (n, 3); None where they are too few."""
-    try:
-        return cloud_noise(points).sigma_m
-    except SurfaceError:
-        return None
 
 
 def sort_tile(of: TiledCloud, tile: Tile) -> F64:
@@ -72,17 +62,13 @@ def sort_tile(of: TiledCloud, tile: Tile) -> F64:
     return hull_of_places(of.index.places(tile)[:, :2])
 
 
-def triangulate_tile(of: TiledCloud, tile: Tile, noise: bool) -> TriangulatedTile:
-    """Triangulate a tile where that is not done yet; ``noise`` : whether that of its points is
-    asked for.
-    """
+def triangulate_tile(of: TiledCloud, tile: Tile) -> TriangulatedTile:
+    """Triangulate a tile where that is not done yet."""
     surface = surface_of(of.index, of.limits, tile)
-    tin, sigma = surface.tin, noise_of_tile(of.index.points(tile)) if noise else None
+    tin = surface.tin
     own = tin.triangles[tin.relevant & surface.counted]
     return TriangulatedTile(
         tile_outline.reach(of, tile),
-        surface.points,
-        math.nan if sigma is None else sigma,
         float(footprint_areas(tin.vertices, own).sum()),
         int(np.count_nonzero(surface.used)),
     )
@@ -102,14 +88,15 @@ class PointsTask:
 @dataclass(frozen=True)
 class Triangulated:
     """of : the tiles, with the triangles that count · tiles : what is known of each, in the order
-    of their names · sigma_m : noise of the points, NaN where no tile can tell · rasters : that tell
-    how far apart these lie, None where that is not known yet · sampled : whether the sampled area
-    is told from that
+    of their names · sigma_m : noise of the points, NaN where they are too few to tell · sigma_from
+    : where it comes from, in words · rasters : that tell how far apart the points lie, None where
+    that is not known yet · sampled : whether the sampled area is told from that
     """
 
     of: TiledCloud
     tiles: list[TriangulatedTile]
     sigma_m: float
+    sigma_from: str
     rasters: Rasters | None
     sampled: bool
 
@@ -133,23 +120,33 @@ def triangulated(
     )
     index = tile_index(cloud)
     check_tile(index, cloud.tile_m)
-    sigma = task.sigma_m
+    noise, points = None, TiledCloud(index, EVERY)
     if task.clean:
-        index = without_strays(TiledCloud(index, EVERY), workers, progress)
-        if sigma is None and math.isfinite(index.sigma_m):
-            sigma = index.sigma_m
+        index = without_strays(points, workers, progress)
+        noise = index.noise
+    elif task.sigma_m is None:
+        noise = Cleaner(points, workers, in_points(points, progress)).noise()
+    sigma = sigma_of(task.sigma_m, noise)
     work = EachTile(workers, index, progress)
     ends = work.done(TiledCloud(index, EVERY), sort_tile, "sorted", 16)
     index = dataclasses.replace(index, hull=joined_hull(list(ends.values())))
     by_area = task.limits.relevant == "sampled"
     of = TiledCloud(index, EVERY if by_area else task.limits)
-    known = work.done(of, partial(triangulate_tile, noise=sigma is None), "surface", 4)
-    noise = noise_of(list(known.values())) if sigma is None else sigma
+    known = work.done(of, triangulate_tile, "surface", 4)
     if not by_area:
-        return Triangulated(of, [known[t] for t in of.tiles], noise, None, False)
+        return Triangulated(of, [known[t] for t in of.tiles], *sigma, None, False)
     found = AreaFinder(of, workers, ends, in_points(of, progress)).found()
-    tiles = ask(workers, found.of, triangulate_tile, [(False,)] * len(found.of.tiles))
-    return Triangulated(found.of, tiles, noise, found.rasters, found.told)
+    tiles = ask(workers, found.of, triangulate_tile)
+    return Triangulated(found.of, tiles, *sigma, found.rasters, found.told)
+
+
+def sigma_of(given_m: float | None, noise: CloudNoise | None) -> tuple[float, str]:
+    """The standard deviation of the heights, m, NaN where it is not known; and where it comes
+    from.
+    """
+    if given_m is not None:
+        return given_m, "given"
+    return (math.nan, "unknown") if noise is None else (noise.sigma_m, noise.words)
 
 
 def in_points(of: TiledCloud, progress: Progress) -> Callable[[str, int], None]:
@@ -207,11 +204,3 @@ def check_tile(index: TileIndex, tile_m: float) -> None:
         "unit or scale",
         value=tile_m,
     )
-
-
-def noise_of(tiles: list[TriangulatedTile]) -> float:
-    """Root mean square by points of the noise of all tiles, m; NaN where no tile can tell."""
-    some = [t for t in tiles if math.isfinite(t.sigma_m)]
-    if not some:
-        return math.nan
-    return math.sqrt(math.fsum(t.points * t.sigma_m**2 for t in some) / sum(t.points for t in some))

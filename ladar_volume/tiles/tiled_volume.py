@@ -22,6 +22,8 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles import tile_volume
+from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
+from ladar_volume.tiles.cleaning.tiled_effect import tiled_effect
 from ladar_volume.tiles.readings.tiled_readings import Around
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
@@ -54,7 +56,9 @@ from ladar_volume.volume.volume_loads import base_name
 class TiledVolume:
     """volume : of all tiles · between : what lies between the points, None where that is not told ·
     base : what is below · index : the tiles · sums : of each, in the order of their names · sigma_m
-    : of the heights · parameters : with the lengths that fit the site
+    : of the heights · sigma_from : where that comes from, in words · parameters : with the lengths
+    that fit the site · stray_effect_m3 : what the strays that were left out would change, None for
+    none
     """
 
     volume: CloudVolume
@@ -63,14 +67,16 @@ class TiledVolume:
     index: TileIndex
     sums: list[TileSums]
     sigma_m: float
+    sigma_from: str
     parameters: Parameters
     doubts: tuple[Doubt, ...] = ()
+    stray_effect_m3: float | None = None
 
 
 @dataclass(frozen=True)
 class VolumeTask:
     """limits : which triangles count · parameters : of base, outline and ground · sigma_m : of the
-    heights; None for that of the tiles, their root mean square by points · correct : whether cut
+    heights; None for what the points tell · correct : whether cut
     and fill are corrected near the base · between : whether what lies between the points is told,
     where all triangles count · named : lengths of base and outline that stay, the others
     follow the site; None for all as given · clean : whether stray points are left out
@@ -111,17 +117,23 @@ def volume_by_tiles(
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
     fit = None if around is None else around.found.fit
     volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
+    every, effect = of.index.every_point, None
+    if isinstance(every, CleanedTiles) and every.strays:
+        effect = tiled_effect(workers, of, folder, base)
+    found = TiledVolume(
+        volume, None, base, of.index, sums, sigma, made.sigma_from, parameters, (), effect
+    )
     if not (task.between and math.isfinite(volume.sigma_m3)):
-        return TiledVolume(volume, None, base, of.index, sums, sigma, parameters)
+        return found
     sought = Sought(fitter, folder, base, made.rasters, made.sampled)
     volume, between, doubts = judged(volume, sought, v, around)
-    return TiledVolume(volume, between, base, of.index, sums, sigma, parameters, tuple(doubts))
+    return dataclasses.replace(found, volume=volume, between=between, doubts=tuple(doubts))
 
 
 def around_ground(fitter: GroundFitter, parameters: Parameters, reach: Sequence[Box]) -> Around:
     """Ground and outline of the cloud, and who asks about them; ``reach`` of each tile."""
     if math.isnan(fitter.sigma_m):
-        words = "no tile has points enough to estimate their noise: give --sigma, or larger tiles"
+        words = "the points are too few to estimate their noise: give --sigma"
         raise SurfaceError(words, reason="surface_too_few_points")
     finder = OutlineFinder(fitter, parameters, reach)
     return Around(fitter, finder, finder.found())

@@ -128,7 +128,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
             "rounds": max(s.rounds for s in sums),
             "left_out": index.left_out,
             "folder": str(index.cloud.folder),
-            "sigma_from": sigma_words(found, a),
+            "sigma_from": found.sigma_from,
             "relevant": limits_of(a).relevant,
         },
         "verdict": Verdict(doubts).as_dict(),
@@ -137,19 +137,11 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
 
 
 def clean_facts(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
-    """How many points were left out as strays."""
-    strays = found.index.strays if isinstance(found.index, CleanedTiles) else 0
-    points = sum(found.index.count.values()) + strays
-    return {"how": a.clean, "strays": strays, "share": strays / points, "effect_m3": None}
-
-
-def sigma_words(found: TiledVolume, a: argparse.Namespace) -> str:
-    """Where the noise comes from."""
-    if a.sigma is not None:
-        return "given"
-    if isinstance(found.index, CleanedTiles) and found.index.sigma_words:
-        return found.index.sigma_words
-    return "local quadrics, root mean square over the tiles"
+    """How many points were left out as strays, and what these would change, m³."""
+    every, effect = found.index.every_point, found.stray_effect_m3
+    strays = every.strays if isinstance(every, CleanedTiles) else 0
+    points = sum(every.count.values()) + strays
+    return {"how": a.clean, "strays": strays, "share": strays / points, "effect_m3": effect}
 
 
 def held_words(found: TiledVolume) -> str:

@@ -8,11 +8,13 @@ what the whole ones differ by, as long as the vertices around reach beyond those
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ladar_volume.ground.heights import height_above
 from ladar_volume.math.array_types import U64
-from ladar_volume.model.records import F64, I32, I64, Plane, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, build_tin, footprint_areas
 
 #: Vertices within so many spacings of a stray are triangulated with it.
@@ -27,14 +29,28 @@ def stray_effect(tin: Tin, inside_m2: F64, strays: F64, base: Plane | None = Non
     """
     area = footprint_areas(tin.vertices, tin.triangles)
     spacing = float(np.sqrt(2.0 * area[tin.relevant].mean()))
-    rows = vertices_near(tin.vertices, strays, AROUND * spacing)
-    if len(rows) < 3:
+    return effect_about(tin, inside_m2, strays, base, spacing)
+
+
+def effect_about(
+    tin: Tin,
+    inside_m2: F64,
+    strays: F64,
+    base: Plane | None,
+    spacing_m: float,
+    own: Callable[[F64], Bool] | None = None,
+) -> float:
+    """The same of points about so far apart; ``own`` : which of triangles count that have places
+    (m, 2) as their first corner by x, then y, of those that are no strays where there are some.
+    """
+    area = footprint_areas(tin.vertices, tin.triangles)
+    rows, near = vertices_near(tin.vertices, strays, AROUND * spacing_m)
+    if len(rows) < 3 or not near.any():
         return 0.0
-    points = np.vstack([tin.vertices[rows], strays])
+    points = np.vstack([tin.vertices[rows], strays[near]])
     points[:, 2] = (
         points[:, 2] - points[: len(rows), 2].mean() if base is None else height_above(points, base)
     )
-    points[:, :2] -= points[:, :2].mean(axis=0)
     old, new = corners_of(build_tin(points[: len(rows)])), corners_of(build_tin(points))
     fresh = (new >= len(rows)).any(axis=1)
     old, new = old[~np.isin(names_of(old), names_of(new[~fresh]))], new[fresh]
@@ -43,27 +59,42 @@ def stray_effect(tin: Tin, inside_m2: F64, strays: F64, base: Plane | None = Non
     # a triangle that the surface does not have counts nowhere
     known = np.append(name, 0)[at] == names_of(old)
     of_old = np.where(known, np.append(share, 0.0)[at], 0.0)
-    return volume_above_zero(points, old, of_old) - volume_above_zero(
-        points, new, of_new(points, old, of_old, new)
-    )
+    of_fresh = of_new(points, old, of_old, new)
+    if own is not None:
+        of_old *= own(points[first_corner(points, old, len(rows)), :2])
+        of_fresh *= own(points[first_corner(points, new, len(rows)), :2])
+    return volume_above_zero(points, old, of_old) - volume_above_zero(points, new, of_fresh)
 
 
-def vertices_near(vertices: F64, strays: F64, reach_m: float) -> I64:
-    """Rows (k,) of vertices (n, 3) that lie within the square cells of side ``reach_m`` around
-    those of the strays.
+def first_corner(points: F64, triangles: I32, known: int) -> I64:
+    """The first corner (m,) of triangles (m, 3) by x, then y, of those below ``known`` where there
+    are some.
     """
+    x, y = (points[triangles, k] for k in range(2))
+    order = np.lexsort((y, x, triangles >= known), axis=1)
+    out: I64 = np.take_along_axis(triangles, order[:, :1], axis=1)[:, 0].astype(np.int64)
+    return out
+
+
+def vertices_near(vertices: F64, strays: F64, reach_m: float) -> tuple[I64, Bool]:
+    """Rows (k,) of vertices (n, 3) that lie within the square cells of side ``reach_m`` around
+    those of the strays (s, 3), and which of these are among or beside the vertices.
+    """
+    if not len(vertices):
+        return np.zeros(0, np.int64), np.zeros(len(strays), np.bool_)
     low = vertices[:, :2].min(axis=0)
     size = np.floor((vertices[:, :2].max(axis=0) - low) / reach_m).astype(np.int64) + 1
     marked = np.zeros(size + 2, bool)
     own = np.floor((strays[:, :2] - low) / reach_m).astype(np.int64)
-    own = own[((own >= -1) & (own <= size)).all(axis=1)] + 1
+    near = ((own >= -1) & (own <= size)).all(axis=1)
+    own = own[near] + 1
     for dx in (-1, 0, 1):
         for dy in (-1, 0, 1):
             x, y = own[:, 0] + dx, own[:, 1] + dy
             good = (x >= 0) & (y >= 0) & (x < marked.shape[0]) & (y < marked.shape[1])
             marked[x[good], y[good]] = True
     x, y = (np.floor((vertices[:, k] - low[k]) / reach_m).astype(np.int64) + 1 for k in range(2))
-    return np.flatnonzero(marked[x, y])
+    return np.flatnonzero(marked[x, y]), near
 
 
 def corners_of(tin: Tin) -> I32:

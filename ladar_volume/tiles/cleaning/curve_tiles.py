@@ -84,11 +84,11 @@ class Placed(NamedTuple):
 
 def place(of: TiledCloud, tile: Tile, curve: Curve) -> Placed:
     """Put the points of a tile at rest with their positions along the curve, in its order."""
-    points, rows = near_points(of, tile, curve.near)
+    points, rows, far = near_points(of, tile, curve.near)
     key = hilbert_positions(np.ascontiguousarray(points[:, :2]), curve.low, curve.side)
     order = np.lexsort((rows, key))
     points, rows, key = points[order], rows[order], key[order]
-    arrays = {"points": points, "rows": rows, "key": key}
+    arrays = {"points": points, "rows": rows, "key": key, "far": far}
     write_arrays(at_rest(curve.folder, "placed", tile), arrays)
     cells, count = np.unique(key >> curve.shift, return_counts=True)
     moments = moments_about(np.ascontiguousarray(points[:, :2]), curve.middle)

@@ -55,18 +55,20 @@ class Search(NamedTuple):
         return self.low == self.high
 
 
-def near_points(of: TiledCloud, tile: Tile, near: F64) -> tuple[F64, I64]:
-    """The distinct points (n, 3), m, of a tile in a box (6,), and their rows (n,) in the file."""
+def near_points(of: TiledCloud, tile: Tile, near: F64) -> tuple[F64, I64, F64]:
+    """The distinct points (n, 3), m, of a tile in a box (6,), their rows (n,) in the file, and
+    those that are not in it (k, 3).
+    """
     points = of.index.points(tile)
     some = distinct_rows(points)
     points, rows = rows_of(points, some), of.index.rows(tile)[some]
     inside = ((points >= near[:3]) & (points <= near[3:])).all(axis=1)
-    return rows_of(points, np.flatnonzero(inside)), rows[inside]
+    return rows_of(points, np.flatnonzero(inside)), rows[inside], points[~inside]
 
 
 def extent_of_tile(of: TiledCloud, tile: Tile, near: F64) -> Extent:
     """Of a tile's distinct points in a box (6,)."""
-    points, _ = near_points(of, tile, near)
+    points, _, _ = near_points(of, tile, near)
     total = np.array([points[:, k].sum() for k in range(3)])
     low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
     return Extent(len(points), total, low, high)
@@ -94,7 +96,7 @@ class Binned(NamedTuple):
 
 def binned(of: TiledCloud, tile: Tile, searches: Sequence[Search]) -> Binned:
     """The values of a tile's distinct points."""
-    points, _ = near_points(of, tile, EVERYWHERE)
+    points, _, _ = near_points(of, tile, EVERYWHERE)
     shape = len(searches), BINS
     out = Binned(np.zeros(shape, np.int64), np.full(shape, np.inf), np.full(shape, -np.inf))
     for k, s in enumerate(searches):

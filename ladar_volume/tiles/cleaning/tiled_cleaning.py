@@ -38,7 +38,7 @@ from ladar_volume.tiles.cleaning.cleaned_tiles import (
     write_index,
 )
 from ladar_volume.tiles.cleaning.curve_tiles import CELLS, Curve, OwnFrame, write_cells
-from ladar_volume.tiles.cleaning.near_box import extent_of_cloud, near_box
+from ladar_volume.tiles.cleaning.near_box import EVERYWHERE, extent_of_cloud, near_box
 from ladar_volume.tiles.cleaning.tile_strays import Good, StrayTuning
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_work import Workers
@@ -122,12 +122,25 @@ class Cleaner:
             np.zeros((0, 2)),
             done.strays,
             done.isolated,
-            math.nan if done.noise is None else done.noise.sigma_m,
-            "" if done.noise is None else done.noise.words,
+            {
+                t: k.stray_box
+                for t, k in zip(self.of.tiles, kept, strict=True)
+                if k.stray_box is not None
+            },
+            done.noise,
         )
         write_index(out)
         shutil.rmtree(work, ignore_errors=True)
         return out
+
+    def noise(self) -> CloudNoise | None:
+        """The noise of all points, strays or not; None where it is not told."""
+        work = self.of.index.cloud.folder / "noise"
+        points = self._in_order(work, EVERYWHERE)
+        first, many = stretches_of(points.count)
+        found = noise_if_told(self._between(points, first, first + many, None)[:, 1:])
+        shutil.rmtree(work, ignore_errors=True)
+        return found
 
     def _without_strays(self, work: Path) -> Decided:
         """Which points are kept."""

@@ -40,6 +40,7 @@ from ladar_volume.tiles.unseen.tiled_between import BetweenFinder, filled_raster
 from ladar_volume.tiles.unseen.tiled_bridges import bridged_of, outline_of
 from ladar_volume.tiles.unseen.tiled_gaps import GapFinder
 from ladar_volume.tiles.unseen.tiled_layers import found_layers
+from ladar_volume.tiles.unseen.tiled_notches import tiled_notches
 from ladar_volume.volume.field_checks.base_readings import unsettled
 
 
@@ -92,6 +93,7 @@ def judged(
     if around is not None:
         volume, doubts = above_ground(volume, around, v, doubts)
         return Judged(volume, between, doubts)
+    doubts += tiled_notches(fitter, base, volume) if v.outline == "all" else []
     more, sigma_m3 = layer_doubts(found_layers(fitter), volume.area_m2, volume.sigma_m3)
     volume = with_lines(volume, {"layers": sigma_m3**2}) if more else volume
     return Judged(volume, between, [*doubts, *more])
@@ -115,5 +117,7 @@ def above_ground(
         judged = completeness(around, volume, body.scatter_m, edge.centre)
         doubts += judged.doubts
         volume = with_lines(volume, judged.lines) if judged.lines else volume
+    else:
+        doubts = doubts + tiled_notches(around.fitter, around.found.fit.plane, volume)
     volume, more = with_growth(around, with_readings(volume, readings, doubts), body)
     return volume, [*doubts, *more]

@@ -33,31 +33,43 @@ def notch_doubts(tin: Tin, base: Plane, size_m3: float, sigma_m3: float) -> list
     part = parts_kernel(tin.neighbours, outside)
     area = footprint_areas(tin.vertices, tin.triangles)
     held = area * height_above(tin.vertices, base)[tin.triangles].mean(axis=1)
-    areas, volumes = (np.bincount(part[outside], x[outside]) for x in (area, held))
-    least = max(SIGMAS * sigma_m3, SHARE * abs(size_m3))
+    volumes = np.bincount(part[outside], held[outside]).astype(np.float64)
     found = []
-    for k in np.argsort(-np.abs(volumes))[:MOST].tolist():
-        if not abs(volumes[k]) > least:
-            break
-        depth = depth_of(tin, part == k)
-        if depth > DEEP * areas[k] / max(depth, 1e-300):
-            middle = tin.vertices[tin.triangles[part == k]].mean(axis=1)[:, :2]
-            own = area[part == k]
-            found.append(words_of(own @ middle / own.sum(), areas[k], depth, volumes[k]))
+    for k in large_bays(volumes, sigma_m3, size_m3):
+        ends, _, hull = border(tin, part == k)
+        corners = tin.vertices[tin.triangles[part == k], :2]
+        found += notch_doubt(corners, tin.vertices[ends, :2], hull, float(volumes[k]))
     return found
 
 
-def depth_of(tin: Tin, bay: Bool) -> float:
-    """How far, m, a bay reaches in from the hull: the greatest distance of its rim from its sides
-    on the hull. bay : (m,) all triangles that do not count and are joined to one another.
+def large_bays(volumes: F64, sigma_m3: float, size_m3: float) -> list[int]:
+    """Which of bays with volumes (k,) m³ may hold enough, the largest first."""
+    least = max(SIGMAS * sigma_m3, SHARE * abs(size_m3))
+    order = np.argsort(-np.abs(volumes), kind="stable")[:MOST].tolist()
+    return [k for k in order if abs(volumes[k]) > least]
+
+
+def notch_doubt(corners: F64, ends: F64, hull: Bool, held_m3: float) -> list[Doubt]:
+    """A bay, where it is a notch. corners : (t, 3, 2) m of its triangles · ends : (e, 2, 2) m of
+    its sides · hull : (e,) which of these lie on the hull of the survey
     """
-    ends, _, hull = border(tin, bay)
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    total, depth = float(area.sum()), depth_of(ends, hull)
+    if not depth > DEEP * total / max(depth, 1e-300):
+        return []
+    return [words_of(area @ corners.mean(axis=1) / total, total, depth, held_m3)]
+
+
+def depth_of(ends: F64, hull: Bool) -> float:
+    """How far, m, a bay reaches in from the hull: the greatest distance of its rim from its sides
+    on the hull, as :func:`notch_doubt` has them.
+    """
     if not hull.any() or hull.all():
         return 0.0
-    rim = tin.vertices[np.unique(ends[~hull]), :2]
+    rim = np.unique(ends[~hull].reshape(-1, 2), axis=0)
     rim = rim[:: math.ceil(len(rim) / POINTS)]
-    a, b = (tin.vertices[ends[hull, j], :2] for j in (0, 1))
-    return float(segment_distances(rim, a, b).min(axis=1).max())
+    return float(segment_distances(rim, ends[hull, 0], ends[hull, 1]).min(axis=1).max())
 
 
 def segment_distances(p: F64, a: F64, b: F64) -> F64:
