@@ -142,11 +142,12 @@ def with_noise(
 
 
 def has_selected_vertices(surface: CloudSurface) -> bool:
-    """Whether the vertices are some of the points, chosen by their heights; copies of a footprint
-    are not.
+    """Whether the vertices are some of the points, chosen by their heights; copies of a footprint,
+    and points that stand alone beyond what was sampled, are not.
     """
     made = surface.representation
     footprints = len(surface.points) - made.off_map_count - made.tin.duplicates
+    footprints -= 0 if made.sampled_area is None else made.sampled_area.beyond
     return int(np.count_nonzero(made.tin.source >= 0)) < footprints
 
 

@@ -9,11 +9,13 @@ long side are a line of that kind, so flat triangles at the outline are passed o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.boundary import border, boundary_sides
+from ladar_volume.model.records import F64, I32, Bool, Tin
+from ladar_volume.tin.boundary import parts_kernel, side_ends
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.sampled_area import SampledArea
 
@@ -37,38 +39,48 @@ def cell_kernel(triangles: I32, area: F64, mask: Bool, least: float, n: int) -> 
     return out / np.maximum(count, 1.0)
 
 
-@kernel
-def fine_kernel(
-    triangles: I32, neighbours: I32, mask: Bool, area: F64, cell: F64, t: I64, k: I64
-) -> I32:
-    """Sides (s, 2) of the outline, from those opposite corners k (b,) of triangles t (b,), with the
-    other two sides of every flat triangle in the place of its first.
+@dataclass(frozen=True)
+class EdgeTriangles:
+    """Triangles of a surface at the edge of what was sampled. area : (m,) m² of those that count, 0
+    of others · cell : (n,) m², area to each vertex · flat : (m,) those that count and are flat ·
+    open : (m, 3) their sides, and those of the others that count, beyond which no surface is
     """
-    out = np.empty((len(t) + 2 * len(triangles), 2), np.int32)
-    gone = np.zeros(len(triangles), np.bool_)
-    stack = np.empty(len(t) + 2 * len(triangles), np.int64)
-    count, top = 0, len(t)
-    for i in range(len(t)):
-        stack[i] = 3 * t[i] + k[i]
-    while top > 0:
-        top -= 1
-        here, corner = stack[top] // 3, stack[top] % 3
-        a, b = triangles[here, (corner + 1) % 3], triangles[here, (corner + 2) % 3]
-        if gone[here] or 2.0 * area[here] >= FLAT * 0.5 * (cell[a] + cell[b]):
-            out[count, 0], out[count, 1] = a, b
-            count += 1
-            continue
-        gone[here] = True
-        for j in range(1, 3):
-            c = (corner + j) % 3
-            beyond = neighbours[here, c]
-            if beyond < 0 or not mask[beyond]:
-                continue  # a side of the outline itself
-            for s in range(3):
-                if neighbours[beyond, s] == here:
-                    stack[top] = 3 * beyond + s
-                    top += 1
-    return out[:count].copy()
+
+    area: F64
+    cell: F64
+    flat: Bool
+    open: Bool
+
+    @classmethod
+    def of(cls, tin: Tin, mask: Bool, median_m2: float) -> EdgeTriangles:
+        """Of triangles (m,), whose area in the median is given."""
+        area = np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+        least = 0.5 * FLAT * median_m2
+        cell = np.asarray(cell_kernel(tin.triangles, area, mask, least, len(tin.vertices)))
+        flat = mask & (2.0 * area < FLAT * cell[tin.triangles].mean(axis=1))
+        beyond = tin.neighbours
+        open_ = mask[:, None] & ((beyond == -1) | ((beyond >= 0) & ~tin.relevant[beyond]))
+        return cls(area, cell, flat, open_)
+
+    def along(self, tin: Tin) -> Bool:
+        """The flat triangles (m,) that lie along the edge: those with an open side, and all that
+        are joined to them.
+        """
+        part = parts_kernel(tin.neighbours, self.flat)
+        at = np.flatnonzero(self.flat & self.open.any(axis=1))
+        found = np.zeros(int(part.max(initial=-1)) + 2, np.bool_)
+        found[part[at]] = True
+        out: Bool = found[part]
+        return out
+
+    def sides(self, tin: Tin, mask: Bool, gone: Bool) -> I32:
+        """The sides (s, 2) of the edge, the surface to their left, without the flat triangles
+        ``gone`` (m,) of the mask (m,) that lie along it.
+        """
+        beyond = tin.neighbours
+        edge = (mask & ~gone)[:, None] & (self.open | ((beyond >= 0) & gone[beyond]))
+        t, k = np.nonzero(edge)
+        return side_ends(tin, t, k)
 
 
 def outline_variance(tin: Tin, mask: Bool, height: F64, areas: list[SampledArea | None]) -> float:
@@ -92,23 +104,19 @@ def strip_variance(each: F64) -> float:
     return max(float(each.sum()) ** 2, float(each @ each))
 
 
-def strips_of(tin: Tin, mask: Bool, height: F64, median_m2: float, own: Bool | None = None) -> F64:
+def strips_of(tin: Tin, mask: Bool, height: F64, median_m2: float) -> F64:
     """What the strips beyond the open sides of triangles (m,) hold by direction
     (:data:`DIRECTIONS`,), m³. height : (n,) m of the vertices above the base · median_m2 : area of
-    a triangle that counts · own : (n,) vertices; only sides whose first end by x, then y is one of
-    them count
+    a triangle that counts
     """
-    is_open = border(tin, mask)[2]
-    t, k = (side[is_open] for side in boundary_sides(tin, mask))
-    area = np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
-    least = 0.5 * FLAT * median_m2
-    cell = np.asarray(cell_kernel(tin.triangles, area, mask, least, len(tin.vertices)))
-    ends = np.asarray(fine_kernel(tin.triangles, tin.neighbours, mask, area, cell, t, k))
-    if own is not None:
-        a, b = (tin.vertices[ends[:, j], :2] for j in (0, 1))
-        second = (b[:, 0] < a[:, 0]) | ((b[:, 0] == a[:, 0]) & (b[:, 1] < a[:, 1]))
-        ends = ends[own[np.where(second, ends[:, 1], ends[:, 0])]]
-    d = tin.vertices[ends[:, 1], :2] - tin.vertices[ends[:, 0], :2]
+    edge = EdgeTriangles.of(tin, mask, median_m2)
+    sides = edge.sides(tin, mask, edge.along(tin))
+    return strip_sums(tin.vertices, edge.cell, height, sides)
+
+
+def strip_sums(vertices: F64, cell: F64, height: F64, ends: I32) -> F64:
+    """The same of sides (s, 2). cell : (n,) m², area to each vertex"""
+    d = vertices[ends[:, 1], :2] - vertices[ends[:, 0], :2]
     strip = cell[ends].mean(axis=1) * height[ends].mean(axis=1)
     turn = np.arctan2(d[:, 1], d[:, 0]) / (2.0 * np.pi)
     direction = np.floor((turn % 1.0) * DIRECTIONS).astype(np.int64) % DIRECTIONS

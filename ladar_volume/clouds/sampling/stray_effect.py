@@ -16,6 +16,7 @@ from ladar_volume.ground.heights import height_above
 from ladar_volume.math.array_types import U64
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, build_tin, footprint_areas
+from ladar_volume.tin.locate import locate, triangle_index
 
 #: Vertices within so many spacings of a stray are triangulated with it.
 AROUND = 8.0
@@ -44,10 +45,12 @@ def effect_about(
     (m, 2) as their first corner by x, then y, of those that are no strays where there are some.
     """
     area = footprint_areas(tin.vertices, tin.triangles)
-    rows, near = vertices_near(tin.vertices, strays, AROUND * spacing_m)
-    if len(rows) < 3 or not near.any():
+    # one beyond the surface changes nothing within the same outline
+    strays = strays[locate(triangle_index(tin, tin.relevant), strays[:, :2]) >= 0]
+    rows = vertices_near(tin.vertices, strays, AROUND * spacing_m)
+    if len(rows) < 3:
         return 0.0
-    points = np.vstack([tin.vertices[rows], strays[near]])
+    points = np.vstack([tin.vertices[rows], strays])
     points[:, 2] = (
         points[:, 2] - points[: len(rows), 2].mean() if base is None else height_above(points, base)
     )
@@ -76,25 +79,22 @@ def first_corner(points: F64, triangles: I32, known: int) -> I64:
     return out
 
 
-def vertices_near(vertices: F64, strays: F64, reach_m: float) -> tuple[I64, Bool]:
+def vertices_near(vertices: F64, strays: F64, reach_m: float) -> I64:
     """Rows (k,) of vertices (n, 3) that lie within the square cells of side ``reach_m`` around
-    those of the strays (s, 3), and which of these are among or beside the vertices.
+    those of the strays (s, 3).
     """
-    if not len(vertices):
-        return np.zeros(0, np.int64), np.zeros(len(strays), np.bool_)
     low = vertices[:, :2].min(axis=0)
     size = np.floor((vertices[:, :2].max(axis=0) - low) / reach_m).astype(np.int64) + 1
     marked = np.zeros(size + 2, bool)
     own = np.floor((strays[:, :2] - low) / reach_m).astype(np.int64)
-    near = ((own >= -1) & (own <= size)).all(axis=1)
-    own = own[near] + 1
+    own = own[((own >= -1) & (own <= size)).all(axis=1)] + 1
     for dx in (-1, 0, 1):
         for dy in (-1, 0, 1):
             x, y = own[:, 0] + dx, own[:, 1] + dy
             good = (x >= 0) & (y >= 0) & (x < marked.shape[0]) & (y < marked.shape[1])
             marked[x[good], y[good]] = True
     x, y = (np.floor((vertices[:, k] - low[k]) / reach_m).astype(np.int64) + 1 for k in range(2))
-    return np.flatnonzero(marked[x, y]), near
+    return np.flatnonzero(marked[x, y])
 
 
 def corners_of(tin: Tin) -> I32:

@@ -37,7 +37,8 @@ from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tiles.unseen.tiled_between import BetweenFinder, filled_rasters
-from ladar_volume.tiles.unseen.tiled_bridges import bridged_of, outline_of
+from ladar_volume.tiles.unseen.tiled_bridges import bridged_of
+from ladar_volume.tiles.unseen.tiled_edge import outline_of
 from ladar_volume.tiles.unseen.tiled_gaps import GapFinder
 from ladar_volume.tiles.unseen.tiled_layers import found_layers
 from ladar_volume.tiles.unseen.tiled_notches import tiled_notches
