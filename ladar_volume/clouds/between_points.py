@@ -20,7 +20,7 @@ from scipy import ndimage
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.math.equal_rows import few_values
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin, first_corner, places_in, vertex_mask
@@ -284,13 +284,21 @@ def places_in_triangles(coarse: Tin, p: F64, where: I64) -> Places:
 
 @kernel
 def centres_of(vertices: F64, corners: I32) -> F64:
-    """The centres (m, 3) of triangles (m, 3)."""
-    out = np.zeros((len(corners), 3))
+    """The centres (m, 3) of triangles (m, 3), whatever the order of their corners."""
+    out = np.empty((len(corners), 3))
     for t in range(len(corners)):
-        for k in range(3):
-            for c in range(3):
-                out[t, c] += vertices[corners[t, k], c] / 3.0
+        a, b, d = corners[t, 0], corners[t, 1], corners[t, 2]
+        for c in range(3):
+            out[t, c] = mean_of(vertices[a, c], vertices[b, c], vertices[d, c])
     return out
+
+
+@leaf_kernel
+def mean_of(x: float, y: float, z: float) -> float:
+    """The mean of three numbers, added by size: the last bit does not depend on their order."""
+    low, high = min(x, min(y, z)), max(x, max(y, z))
+    between = max(min(x, y), min(max(x, y), z))
+    return (low + between + high) / 3.0
 
 
 def number_vertices(corners: I32, count: int, left_out: I64) -> tuple[I64, I64]:
@@ -385,10 +393,7 @@ def middles_of(corners: F64) -> F64:
     out = np.empty((len(corners), 2))
     for t in range(len(corners)):
         for c in range(2):
-            x, y, z = corners[t, 0, c], corners[t, 1, c], corners[t, 2, c]
-            low, high = min(x, min(y, z)), max(x, max(y, z))
-            between = max(min(x, y), min(max(x, y), z))
-            out[t, c] = (low + between + high) / 3.0
+            out[t, c] = mean_of(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
     return out
 
 

@@ -38,7 +38,7 @@ from ladar_volume.tiles.cleaning.cleaned_tiles import (
     write_index,
 )
 from ladar_volume.tiles.cleaning.curve_tiles import CELLS, Curve, OwnFrame, write_cells
-from ladar_volume.tiles.cleaning.near_box import EVERYWHERE, extent_of_cloud, near_box
+from ladar_volume.tiles.cleaning.near_box import EVERYWHERE, Extent, extent_of_cloud, near_box
 from ladar_volume.tiles.cleaning.tile_strays import Good, StrayTuning
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_work import Workers
@@ -136,7 +136,7 @@ class Cleaner:
     def noise(self) -> CloudNoise | None:
         """The noise of all points, strays or not; None where it is not told."""
         work = self.of.index.cloud.folder / "noise"
-        points = self._in_order(work, EVERYWHERE)
+        points = self._in_order(work, EVERYWHERE, extent_of_cloud(self.workers, self.of))
         first, many = stretches_of(points.count)
         found = noise_if_told(self._between(points, first, first + many, None)[:, 1:])
         shutil.rmtree(work, ignore_errors=True)
@@ -146,7 +146,9 @@ class Cleaner:
         """Which points are kept."""
         everything = extent_of_cloud(self.workers, self.of)
         near = near_box(self.workers, self.of, everything)
-        all_points = self._in_order(work, near)
+        far_away = near is not EVERYWHERE
+        extent = extent_of_cloud(self.workers, self.of, near) if far_away else everything
+        all_points = self._in_order(work, near, extent)
         far = everything.count - all_points.count
         decided = Decided(all_points.curve, None, far, far, None)
         if all_points.count < FEWEST:
@@ -167,9 +169,8 @@ class Cleaner:
             noise,
         )
 
-    def _in_order(self, work: Path, near: F64) -> Numbered:
-        """Number the points in the box of those that are near."""
-        extent = extent_of_cloud(self.workers, self.of, near)
+    def _in_order(self, work: Path, near: F64, extent: Extent) -> Numbered:
+        """Number the points in the box of those that are near, between which these lie."""
         low, high, n = extent.low, extent.high, extent.count
         side = square_side(low.tolist(), high.tolist())
         cells = CELLS * side / self.of.index.cloud.tile_m

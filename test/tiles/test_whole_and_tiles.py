@@ -1,0 +1,65 @@
+"""``volume`` by tiles against ``volume`` of all points at once, as a user gives both: with its
+cleaning, its sampled area, its noise and what it says against the result.
+"""
+
+import numpy as np
+import pytest
+from whole_and_tiles import (
+    differences,
+    gridded,
+    on_lines,
+    scattered,
+    site,
+    thinning_out,
+    volume,
+    write,
+)
+
+CASES = [
+    (scattered, "L", 6000, 40, False, ["--base", "ground"]),
+    (scattered, "two", 3000, 5, True, ["--base", "ground", "--outline", "all"]),
+    (gridded, "notch", 4000, 5, False, ["--level", "100.5"]),
+    (gridded, "ellipse", 3000, 0, True, ["--plane", "79", "0.02", "0"]),
+    (on_lines, "hole", 7000, 40, False, ["--base", "ground"]),
+    (on_lines, "notch", 9000, 40, True, ["--level", "100.5", "--clean", "off"]),
+    (thinning_out, "box", 4000, 5, False, ["--base", "ground", "--relevant", "all"]),
+    (thinning_out, "hole", 4000, 0, True, ["--base", "ground"]),
+    (scattered, "notch", 5000, 5, True, ["--level", "100.5", "--max-edge", "4"]),
+    (gridded, "hole", 3000, 5, False, ["--base", "ground", "--max-circle", "5"]),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c[0].__name__} {c[1]} {c[-1][-1]}")
+def test_tiles_say_what_the_whole_says(case, tmp_path, capsys):
+    kind, shape, n, strays, alone, words = case
+    rng = np.random.default_rng(n + strays)
+    path = write(tmp_path / "cloud.laz", site(kind, shape, n, rng, strays, alone), rng)
+    whole = volume(capsys, path, *words)
+    for tile in ("9", "33"):
+        store = ["--tile", tile, "--store", str(tmp_path / tile)]
+        tiled = volume(capsys, path, *words, *store)
+        assert differences(whole, tiled) == []
+        assert tiled["tiles"]["count"] > 4
+        assert (
+            differences(tiled, volume(capsys, path, *words, *store)) == []
+        )  # from what is at rest
+
+
+def test_what_strays_would_change(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    path = write(tmp_path / "cloud.laz", site(scattered, "box", 8000, rng, 60), rng)
+    words = ["--base", "ground"]
+    whole = volume(capsys, path, *words)["clean"]
+    tiled = volume(capsys, path, *words, "--tile", "12", "--store", str(tmp_path / "s"))["clean"]
+    assert whole["strays"] > 40 and abs(whole["effect_m3"]) > 0.1
+    assert tiled["effect_m3"] == pytest.approx(whole["effect_m3"], rel=1e-9)
+    assert tiled["share"] == whole["share"]
+
+
+def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):
+    rng = np.random.default_rng(4)
+    path = write(tmp_path / "cloud.laz", site(scattered, "box", 90, rng), rng)
+    words = ["--level", "100", "--sigma", "0.02"]
+    whole = volume(capsys, path, *words)
+    tiled = volume(capsys, path, *words, "--tile", "20", "--store", str(tmp_path / "s"))
+    assert differences(whole, tiled) == []
