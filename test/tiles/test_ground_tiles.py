@@ -116,8 +116,8 @@ def test_the_verb_volume_by_tiles(tmp_path, capsys):
         assert tiled[name] == pytest.approx(whole[name], rel=1e-9)
     for line in ("noise", "base_surface", "between_points"):
         assert tiled["budget_m6"][line] == pytest.approx(whole["budget_m6"][line], rel=1e-9)
-    assert main([*words, "--tile", "25"]) == 2
-    assert "give --clean off, --relevant all" in capsys.readouterr().err
+    assert main([*words, "--tile", "25", "--clean", "filter"]) == 2
+    assert "--clean filter is not done by tiles" in capsys.readouterr().err
     assert main([*words, *plain, "--tile", "25", "--piles", "found"]) == 2
     assert "--piles is not done by tiles" in capsys.readouterr().err
     assert main([*words, *plain, "--workers", "2"]) == 2
