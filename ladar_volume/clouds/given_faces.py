@@ -20,7 +20,7 @@ from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.model.verdict import Doubt
-from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.full_tin import across_sides, footprint_areas
 
 #: Share of the footprint that may lie under a second face, as rounding folds slivers over: doubtful
 #: up to here, refused above.
@@ -57,18 +57,6 @@ def without_footprint(vertices: F64, triangles: I32) -> tuple[F64, Bool]:
     return area, np.abs(area) <= 4.0 * step * long
 
 
-def neighbours_of(triangles: I32) -> I32:
-    """The triangle (m, 3) across the edge opposite each corner, −1 where there is not exactly
-    one.
-    """
-    order, start, _ = edge_table(triangles)
-    pair = start[:-1][np.diff(start) == 2]
-    i, j = order[pair], order[pair + 1]
-    out = np.full((len(triangles), 3), -1, np.int32)
-    out[i // 3, (i % 3 + 2) % 3], out[j // 3, (j % 3 + 2) % 3] = j // 3, i // 3
-    return out
-
-
 def parts_of(neighbours: I32) -> int:
     """How many parts triangles with neighbours (m, 3) are, joined by edges."""
     t, k = np.nonzero(neighbours >= 0)
@@ -100,7 +88,7 @@ def given_surface(vertices: F64, triangles: I32) -> GivenSurface:
     kept[turned] = kept[turned][:, [0, 2, 1]]
     used, inverse = np.unique(kept, return_inverse=True)
     faces = inverse.reshape(-1, 3).astype(np.int32)
-    beside = neighbours_of(faces)
+    beside = across_sides(faces, len(used))
     m = len(faces)
     tin = Tin(vertices[used], faces, beside, np.ones(m, bool), np.arange(len(used), dtype=np.int64))
     found = GivenSurface(

@@ -1,4 +1,4 @@
-"""Triangles of several tiles as one surface: each once, with what lies across its sides."""
+"""Triangles of several tiles as one surface: each once."""
 
 from __future__ import annotations
 
@@ -30,33 +30,3 @@ def distinct_triangles(corners: I32, n: int) -> tuple[I64, I32]:
             after[k], head[a] = head[a], k
             k += 1
     return rows[:k].copy(), out[:k].copy()
-
-
-@kernel
-def across_sides(triangles: I32, n: int) -> I32:
-    """The triangle (m, 3) across the side opposite each corner, -1 where there is not exactly one;
-    over n vertices.
-    """
-    m, sides = len(triangles), 0
-    head, after = np.full(n, -1, np.int32), np.empty(3 * m, np.int32)
-    high, first = np.empty(3 * m, np.int32), np.empty(3 * m, np.int32)
-    second, count = np.empty(3 * m, np.int32), np.zeros(3 * m, np.int32)
-    for t in range(m):
-        for c in range(3):
-            p, q = triangles[t, (c + 1) % 3], triangles[t, (c + 2) % 3]
-            low = min(p, q)
-            at = head[low]
-            while at >= 0 and high[at] != max(p, q):
-                at = after[at]
-            if at < 0:
-                at, after[sides], high[sides] = sides, head[low], max(p, q)
-                head[low], first[at] = at, 3 * t + c
-                sides += 1
-            second[at] = 3 * t + c
-            count[at] += 1
-    out = np.full((m, 3), -1, np.int32)
-    for s in range(sides):
-        if count[s] == 2:
-            i, j = first[s], second[s]
-            out[i // 3, i % 3], out[j // 3, j % 3] = j // 3, i // 3
-    return out

@@ -14,13 +14,13 @@ import numpy.typing as npt
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.array_file import read, write
-from ladar_volume.tiles.joined_triangles import across_sides, distinct_triangles
+from ladar_volume.tiles.joined_triangles import distinct_triangles
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_stars import TilePoints
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of, surface_path
-from ladar_volume.tin.full_tin import any_corner, corners_of, places_in
+from ladar_volume.tin.full_tin import across_sides, any_corner, corners_of, places_in
 from ladar_volume.volume.neighbourhood import grow_kernel
 
 C128 = npt.NDArray[np.complex128]

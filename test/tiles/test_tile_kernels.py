@@ -4,12 +4,22 @@ import numpy as np
 import pytest
 
 from ladar_volume.clouds.between_points import middles_of
-from ladar_volume.clouds.given_faces import neighbours_of
-from ladar_volume.tiles.joined_triangles import across_sides, distinct_triangles
+from ladar_volume.mesh.topology import edge_table
+from ladar_volume.tiles.joined_triangles import distinct_triangles
 from ladar_volume.tiles.tile_fit import blocks_of
 from ladar_volume.tiles.tile_stars import FLAT, MARGIN, circle_boxes
 from ladar_volume.tiles.unseen.tile_spacing import distinct_cells, first_of_cells
-from ladar_volume.tin.full_tin import build_tin, corners_of
+from ladar_volume.tin.full_tin import across_sides, build_tin, corners_of
+
+
+def neighbours_of(triangles):
+    """What :func:`across_sides` gives, from a table of edges."""
+    order, start, _ = edge_table(triangles)
+    pair = start[:-1][np.diff(start) == 2]
+    i, j = order[pair], order[pair + 1]
+    out = np.full((len(triangles), 3), -1, np.int32)
+    out[i // 3, (i % 3 + 2) % 3], out[j // 3, (j % 3 + 2) % 3] = j // 3, i // 3
+    return out
 
 
 def mixed(seed, n=400):
