@@ -126,7 +126,9 @@ def number(of: TiledCloud, tile: Tile, curve: Curve, frame: OwnFrame) -> Along:
             rows.append(found["rows"][some])
             mine.append(np.zeros(np.count_nonzero(some), np.bool_))
     every, ours = np.concatenate(keys), np.concatenate(mine)
-    order = np.lexsort((np.concatenate(rows), every))
+    order = np.argsort(every, kind="stable")  # of runs that are in order: they are merged
+    if (np.diff(every[order]) == 0).any():
+        order = np.lexsort((np.concatenate(rows), every))
     cell, ours = every[order] >> curve.shift, ours[order]
     within = np.arange(len(cell)) - np.searchsorted(cell, cell)
     table = read_arrays(curve.cells)

@@ -77,7 +77,7 @@ def gathered(asker: Asker, tiles: Sequence[Tile], box: Box | None) -> Around:
         rank.append(k)
         flags.append(more)
     numbers = np.concatenate(rank)
-    order = np.argsort(numbers)
+    order = np.argsort(numbers, kind="stable")  # of runs that are in order: they are merged
     every = np.concatenate(points)[order]
     told = {name: np.concatenate([f[name] for f in flags])[order] for _, name in asker.flags}
     if box is None:

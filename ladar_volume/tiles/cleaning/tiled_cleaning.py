@@ -7,8 +7,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -50,6 +51,18 @@ from ladar_volume.tin.sampled_area import FEWEST, SAMPLED
 R = TypeVar("R")
 #: Layout of what is at rest; another number makes another folder.
 LAYOUT = 1
+
+
+@contextlib.contextmanager
+def work_folder(folder: Path) -> Iterator[Path]:
+    """A folder below another one for what is at rest while it is worked on: of one run, since two
+    may work on one store.
+    """
+    work = folder / f"work_{secrets.token_hex(8)}"
+    try:
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -106,11 +119,9 @@ class Cleaner:
             found = read_index(cloud)
             if all(self._each("checked", whole, cloud)):
                 return found
-        # what depends on the points is made anew with them
-        shutil.rmtree(folder, ignore_errors=True)
-        work = folder / "work"
-        done = self._without_strays(work)
-        kept = self._each("kept", keep, done.curve, done.good, cloud)
+        with work_folder(folder) as work:
+            done = self._without_strays(work)
+            kept = self._each("kept", keep, done.curve, done.good, cloud)
         tiles = [(t, k) for t, k in zip(self.of.tiles, kept, strict=True) if k.box is not None]
         out = CleanedTiles(
             cloud,
@@ -130,17 +141,15 @@ class Cleaner:
             done.noise,
         )
         write_index(out)
-        shutil.rmtree(work, ignore_errors=True)
         return out
 
     def noise(self) -> CloudNoise | None:
         """The noise of all points, strays or not; None where it is not told."""
-        work = self.of.index.cloud.folder / "noise"
-        points = self._in_order(work, EVERYWHERE, extent_of_cloud(self.workers, self.of))
-        first, many = stretches_of(points.count)
-        found = noise_if_told(self._between(points, first, first + many, None)[:, 1:])
-        shutil.rmtree(work, ignore_errors=True)
-        return found
+        extent = extent_of_cloud(self.workers, self.of)
+        with work_folder(self.of.index.cloud.folder) as work:
+            points = self._in_order(work, EVERYWHERE, extent)
+            first, many = stretches_of(points.count)
+            return noise_if_told(self._between(points, first, first + many, None)[:, 1:])
 
     def _without_strays(self, work: Path) -> Decided:
         """Which points are kept."""
