@@ -125,7 +125,8 @@ def volume_by_tiles(
     )
     if not (task.between and math.isfinite(volume.sigma_m3)):
         return found
-    sought = Sought(fitter, folder, base, made.rasters, made.sampled)
+    objects = task.clean and v.objects == "remove"
+    sought = Sought(fitter, folder, base, made.rasters, made.sampled, objects)
     volume, between, doubts = judged(volume, sought, v, around)
     return dataclasses.replace(found, volume=volume, between=between, doubts=tuple(doubts))
 

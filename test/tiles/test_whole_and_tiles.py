@@ -15,6 +15,18 @@ from whole_and_tiles import (
     write,
 )
 
+from ladar_volume.clouds.cloud_noise import thin_by_cells
+from ladar_volume.io.pointfiles.cloud_files import read_cloud
+from ladar_volume.io.pointfiles.crs import Reading
+from ladar_volume.tiles.tile_store import parts_of_file
+from ladar_volume.tiles.tile_surface import EVERY
+from ladar_volume.tiles.tile_work import OwnProcess
+from ladar_volume.tiles.tiled_ground import GroundFitter
+from ladar_volume.tiles.tiled_points import PointsTask, triangulated
+from ladar_volume.tiles.unseen.tiled_steps import highest_step, step_doubts
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.volume.field_checks.standing_objects import STEEP
+
 CASES = [
     (scattered, "L", 6000, 40, False, ["--base", "ground"]),
     (scattered, "two", 3000, 5, True, ["--base", "ground", "--outline", "all"]),
@@ -63,3 +75,38 @@ def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):
     whole = volume(capsys, path, *words)
     tiled = volume(capsys, path, *words, "--tile", "20", "--store", str(tmp_path / "s"))
     assert differences(whole, tiled) == []
+
+
+def test_what_may_stand_on_the_surface_is_doubtful(tmp_path, capsys):
+    rng = np.random.default_rng(7)
+    p = site(scattered, "box", 9000, rng)
+    machine = (np.abs(p[:, 0] - 1033) < 1.5) & (np.abs(p[:, 1] + 476) < 1.0)
+    p[machine, 2] += 2.5
+    path = write(tmp_path / "cloud.laz", p, rng)
+    words = ["--base", "ground", "--tile", "25", "--store", str(tmp_path / "s")]
+    whole, tiled = volume(capsys, path, "--base", "ground"), volume(capsys, path, *words)
+    assert whole["objects"] and tiled["net_m3"] > whole["net_m3"] + 5.0  # it is counted by tiles
+    (said,) = [r["text"] for r in tiled["verdict"]["reasons"] if r["name"] == "tiles_not_judged"]
+    assert "steps above 0.25 m, the highest of 2." in said and "about (103" in said
+    count = ["--set", "volume.objects=count"]
+    whole = volume(capsys, path, "--base", "ground", *count)
+    tiled = volume(capsys, path, *words, *count)
+    assert differences(whole, tiled) == []
+
+
+@pytest.mark.parametrize("spacing", [0.1, 0.5])
+def test_steps_are_those_of_the_thinned_points_of_all_tiles(spacing, tmp_path):
+    rng = np.random.default_rng(8)
+    path = write(tmp_path / "cloud.laz", site(scattered, "box", 9000, rng, 30), rng)
+    parts = parts_of_file(path, tmp_path / "s", 11.0, Reading(), 3000)
+    asked = PointsTask(EVERY, 0.02, False)
+    made = triangulated(parts, asked, OwnProcess(), lambda stage, total, done: None)
+    (found,) = step_doubts(GroundFitter(made.of, OwnProcess(), 0.02), 0.15, spacing)
+    points, rows = read_cloud(path).r, slice(None)
+    if spacing < 0.25:
+        extent = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        rows = np.sort(thin_by_cells(points, 0.25, extent=extent))
+    tin = build_tin(points[rows])
+    highest = highest_step(tin.triangles, tin.vertices, 0.25, STEEP)
+    assert found.value == highest[1] > 1.0
+    assert f"about ({highest[2]:.1f}, {highest[3]:.1f}) m" in found.text

@@ -27,6 +27,7 @@ from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_places import joined_hull
 from ladar_volume.tiles.tile_store import digest
 from ladar_volume.tiles.tile_surface import surface_folder
+from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.unseen import tile_coarser, tile_spacing
 from ladar_volume.tiles.unseen.tile_coarser import Blocks, Seen, Squares, Widths
@@ -40,13 +41,15 @@ R = TypeVar("R")
 class BetweenFinder:
     """fitter : asks the tiles · every : the same tiles, of which all triangles count · outline :
     where the triangles inside are at rest, None for all · rasters : that tell spacings, None for
-    too few points · hidden_m3 : what may lie under triangles that bridge what was not sampled
+    too few points · told : what they tell of all points (:func:`told_spacings`) · hidden_m3 : what
+    may lie under triangles that bridge what was not sampled
     """
 
     fitter: GroundFitter
     every: TiledCloud
     outline: Path | None
     rasters: Rasters | None
+    told: F64
     hidden_m3: float = 0.0
 
     def _ask(self, op: Callable[..., R], *more: object) -> list[R]:
@@ -69,8 +72,7 @@ class BetweenFinder:
         rasters, nothing = self.rasters, BetweenPoints(0.0, 0.0, self.hidden_m3)
         if rasters is None:
             return nothing
-        same: list[tuple[object, ...]] = [(rasters,)] * len(self.every.tiles)
-        told = merged(self._points(tile_spacing.tell_spacings, same))
+        told = self.told
         whole = Squares(rasters.axes, rasters.low, 1.0, 1)
         seen = Seen(self.outline, whole, rasters.folder)
         facts = self._facts(seen)
@@ -192,6 +194,15 @@ def fill(rasters: Rasters, cells: Sequence[Sequence[I64]]) -> None:
         for some in cells:
             raster.reshape(-1)[some[k]] = True
         write_arrays(rasters.filled(k), {"filled": beside_full_blocks(raster).reshape(-1)})
+
+
+def told_spacings(workers: Workers, every: TiledCloud, rasters: Rasters | None) -> F64:
+    """The spacings at all points, at rest, and what :func:`merged` makes of them; none without
+    rasters.
+    """
+    if rasters is None:
+        return np.zeros((0, 6))
+    return merged(ask(workers, every, tile_spacing.tell_spacings, [(rasters,)] * len(every.tiles)))
 
 
 def merged(told: Sequence[F64]) -> F64:

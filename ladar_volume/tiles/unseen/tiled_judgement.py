@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -36,12 +37,18 @@ from ladar_volume.tiles.readings.tiled_readings import Around, ground_readings
 from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
-from ladar_volume.tiles.unseen.tiled_between import BetweenFinder, filled_rasters
+from ladar_volume.tiles.unseen.tiled_between import (
+    BetweenFinder,
+    filled_rasters,
+    median_of,
+    told_spacings,
+)
 from ladar_volume.tiles.unseen.tiled_bridges import bridged_of
 from ladar_volume.tiles.unseen.tiled_edge import outline_of
 from ladar_volume.tiles.unseen.tiled_gaps import GapFinder
 from ladar_volume.tiles.unseen.tiled_layers import found_layers
 from ladar_volume.tiles.unseen.tiled_notches import tiled_notches
+from ladar_volume.tiles.unseen.tiled_steps import step_doubts
 from ladar_volume.volume.field_checks.base_readings import unsettled
 
 
@@ -60,7 +67,7 @@ class Sought:
     """What is judged. fitter : asks the tiles · outline : where the triangles inside are at rest,
     None for all that count · base : that heights count from · rasters : that tell how far apart all
     points lie, None where that is not known yet · sampled : whether the sampled area is told from
-    that
+    that · objects : whether what stands on the surface is to be taken out
     """
 
     fitter: GroundFitter
@@ -68,6 +75,7 @@ class Sought:
     base: Plane
     rasters: Rasters | None
     sampled: bool
+    objects: bool
 
 
 def judged(
@@ -80,17 +88,21 @@ def judged(
     fitter, outline, base = sought.fitter, sought.outline, sought.base
     every = dataclasses.replace(fitter, of=dataclasses.replace(fitter.of, limits=EVERY))
     rasters = sought.rasters or filled_rasters(every, outline)
+    told = told_spacings(fitter.workers, every.of, rasters)
     gaps, doubts = GapFinder(fitter, outline, base, rasters).found(), list[Doubt]()
     if gaps.areas.size:
         volume, doubts = with_bridged(volume, gaps.volume, float(gaps.areas.sum()), v.outline)
     bridged = bridged_of(fitter, outline, base, gaps)
-    between = BetweenFinder(fitter, every.of, outline, rasters, bridged.hidden_m3).found()
+    between = BetweenFinder(fitter, every.of, outline, rasters, told, bridged.hidden_m3).found()
     volume = with_between_points(volume, between)
     if sought.sampled:
         variance = outline_of(fitter, outline, base)
         volume = with_lines(volume, {"outline": variance}) if variance > 0.0 else volume
     doubts = doubts or unseen_doubts(bridged.bridged_m2, bridged.inside_m2)
     doubts += coarse_doubts(volume, between)
+    if sought.objects:
+        spacing = math.inf if rasters is None else median_of(told, rasters.count)
+        doubts += step_doubts(fitter, v.object_height_m, spacing)
     if around is not None:
         volume, doubts = above_ground(volume, around, v, doubts)
         return Judged(volume, between, doubts)
