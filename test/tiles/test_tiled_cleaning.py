@@ -87,7 +87,7 @@ def test_few_points_are_left_as_they_are(tmp_path):
     points = distinct(path)
     whole, found = clean(points), cleaner(tiles_of(path, tmp_path / "store", 20.0)).cleaned()
     assert np.array_equal(in_order(found), points[whole.kept])
-    assert found.strays == 0 and found.noise is whole.noise is None
+    assert found.strays == 0 and found.noise == noise_along_curve(points)
 
 
 def test_the_noise_of_all_points(tmp_path):

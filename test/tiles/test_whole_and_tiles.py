@@ -87,7 +87,7 @@ def test_what_may_stand_on_the_surface_is_doubtful(tmp_path, capsys):
     whole, tiled = volume(capsys, path, "--base", "ground"), volume(capsys, path, *words)
     assert whole["objects"] and tiled["net_m3"] > whole["net_m3"] + 5.0  # it is counted by tiles
     (said,) = [r["text"] for r in tiled["verdict"]["reasons"] if r["name"] == "tiles_not_judged"]
-    assert "steps above 0.25 m, the highest of 2." in said and "about (103" in said
+    assert "steps above 0.25 m, the highest of 3." in said and "about (103" in said
     count = ["--set", "volume.objects=count"]
     whole = volume(capsys, path, "--base", "ground", *count)
     tiled = volume(capsys, path, *words, *count)

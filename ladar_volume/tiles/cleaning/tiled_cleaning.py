@@ -159,13 +159,10 @@ class Cleaner:
         extent = extent_of_cloud(self.workers, self.of, near) if far_away else everything
         all_points = self._in_order(work, near, extent)
         far = everything.count - all_points.count
-        decided = Decided(all_points.curve, None, far, far, None)
-        if all_points.count < FEWEST:
-            return decided
         first, many = stretches_of(all_points.count)
         noise = noise_if_told(self._between(all_points, first, first + many, None)[:, 1:])
-        if noise is None:
-            return decided
+        if noise is None or all_points.count < FEWEST:
+            return Decided(all_points.curve, None, far, far, noise)
         good, told = self._passes(all_points, noise)
         strays = sum(g.strays for g in told)
         if strays > UNMOVED * all_points.count:

@@ -16,6 +16,7 @@ import numpy as np
 from ladar_volume.clouds.sampling.cloud_objects import CLEAR, STEP
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import raster_between
+from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles.array_file import at_rest, read_arrays, write, write_arrays
@@ -37,6 +38,9 @@ class Highest(NamedTuple):
     rise: float
     x: float
     y: float
+
+
+NOTHING = Highest(0, 0.0, 0.0, 0.0)
 
 
 @kernel
@@ -90,8 +94,11 @@ def steps_of(of: TiledCloud, tile: Tile, step_m: float) -> Highest:
 def steps_of_thinned(of: TiledCloud, tile: Tile, kept: KeptPoints, step_m: float) -> Highest:
     """The steps round the points of a tile that are kept."""
     if tile not in kept.box:
-        return Highest(0, 0.0, 0.0, 0.0)
-    stars = tile_stars(kept, tile)
+        return NOTHING
+    try:
+        stars = tile_stars(kept, tile)
+    except SurfaceError:  # all that are kept are on one line
+        return NOTHING
     corners = stars.tin.triangles[stars.counted & stars.star]
     return Highest(*highest_step(corners, stars.tin.vertices, step_m, STEEP))
 
