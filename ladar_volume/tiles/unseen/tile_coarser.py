@@ -44,7 +44,7 @@ from ladar_volume.tiles.tile_patch import (
 from ladar_volume.tiles.tile_stars import tile_stars
 from ladar_volume.tiles.tile_store import Tile, arrays_at_rest
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
-from ladar_volume.tiles.unseen.tile_spacing import KeptPoints
+from ladar_volume.tiles.unseen.tile_spacing import KeptPoints, NearRaster, distinct_cells
 from ladar_volume.tin.full_tin import corners_of, first_corners, footprint_areas, places_in
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters
@@ -124,6 +124,13 @@ def seen_facts(of: TiledCloud, tile: Tile, seen: Seen) -> F64:
     middle = middles_of(seen.squares.axes.along(surface.tin.vertices[:, :2])[t])
     low, high = extent_of(middle)
     return np.array([len(t), area.sum(), *low, *high])
+
+
+def seen_cells(of: TiledCloud, tile: Tile, seen: Seen, near: NearRaster) -> I64:
+    """The cells (k,) that hold a corner of one of these."""
+    surface = surface_of(of.index, of.limits, tile)
+    corners = np.unique(surface.tin.triangles[seen.of_tile(surface, tile)])
+    return distinct_cells(near.cells(surface.tin.vertices[corners, :2]), near.shape[1])
 
 
 def seen_widths(of: TiledCloud, tile: Tile, seen: Seen) -> Widths:

@@ -205,17 +205,48 @@ def border_cells(
     return Cells(cells.name[some], cells.off[some], cells.row[some])
 
 
+@dataclass(frozen=True)
+class NearRaster:
+    """Square cells along axes: those that hold a corner of a triangle that is looked at, and those
+    beside them, are marked at rest. low : (2,) m · side : of a cell, m · shape : (2,) cells · path
+    """
+
+    axes: OwnAxes
+    low: F64
+    side: float
+    shape: tuple[int, int]
+    path: Path
+
+    def cells(self, xy: F64) -> I64:
+        """The cell (n,) of places (n, 2), m, row by row."""
+        return cells_in(
+            self.axes.along(np.ascontiguousarray(xy)), self.low, self.side, self.shape[1]
+        )
+
+    def near(self, xy: F64) -> Bool:
+        """Which of places (n, 2), m, lie in marked cells."""
+        return np.asarray(read_arrays(self.path, ("marked",))["marked"][self.cells(xy)])
+
+
 def keep(
-    of: TiledCloud, tile: Tile, rasters: Rasters, shift: tuple[float, float], lost: I64
+    of: TiledCloud,
+    tile: Tile,
+    rasters: Rasters,
+    shift: tuple[float, float],
+    lost: I64,
+    near: NearRaster | None,
+    folder: Path,
 ) -> tuple[int, Box | None, F64]:
-    """The footprints kept of a tile, at rest: without the rows that ``lost`` to those of other
-    tiles. Returns how many, their box, and the corners (h, 2) m of their hull.
+    """The footprints kept of a tile, at rest in a folder: without the rows that ``lost`` to those
+    of other tiles, and of the others those that are near; all for None. Returns how many there were
+    before that, their box, and the corners (h, 2) m of their hull.
     """
     chosen = read_arrays(at_rest(kept_folder(rasters, shift), "chosen", tile), ("row", "some"))
     some = chosen["some"][~np.isin(chosen["row"], lost)]
-    kept = places(used_of(of.index, of.limits, tile)[0][some])
-    write(kept_folder(rasters, shift), "kept", tile, kept)
-    return len(kept), box_of(kept[:, :2]), hull_of_places(kept[:, :2])
+    xyz = used_of(of.index, of.limits, tile)[0][some]
+    kept = places(xyz if near is None else xyz[near.near(xyz[:, :2])])
+    write(folder, "kept", tile, kept)
+    return len(xyz), box_of(kept[:, :2]), hull_of_places(kept[:, :2])
 
 
 def kept_folder(rasters: Rasters, shift: tuple[float, float]) -> Path:

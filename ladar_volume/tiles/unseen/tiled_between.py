@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from scipy import ndimage
 
 from ladar_volume.clouds.between_points import (
+    AROUND,
+    MOST_CELLS,
     SQUARE,
     BetweenPoints,
     from_coarser,
@@ -21,7 +24,7 @@ from ladar_volume.clouds.between_points import (
 )
 from ladar_volume.math.own_axes import axes_of, raster_between, rounded_middle
 from ladar_volume.model.records import F64, I64
-from ladar_volume.tiles.array_file import write_arrays
+from ladar_volume.tiles.array_file import ENDING, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_places import joined_hull
@@ -31,7 +34,7 @@ from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.unseen import tile_coarser, tile_spacing
 from ladar_volume.tiles.unseen.tile_coarser import Blocks, Seen, Squares, Widths
-from ladar_volume.tiles.unseen.tile_spacing import Cells, KeptPoints, Rasters
+from ladar_volume.tiles.unseen.tile_spacing import Cells, KeptPoints, NearRaster, Rasters
 from ladar_volume.tin.sampled_area import FEWEST, SAMPLED, beside_full_blocks, cell_sizes
 
 R = TypeVar("R")
@@ -90,8 +93,10 @@ class BetweenFinder:
         finest = self._half(widths, lambda one: self._ask(tile_coarser.widths_in, seen, one))
         extents, found = told[np.isfinite(told[:, 0])], []
         extent = np.array([facts[2:4], facts[4:6]])
+        near = self._near(rasters, seen, median_of(told, rasters.count))
         for shift in shifts_for(int(facts[0])):
-            coarser = self._coarser(rasters, extents, shift, seen, extent)
+            kept = self._kept(rasters, extents, shift, near, seen)
+            coarser = None if kept is None else self._coarser(kept, seen, extent)
             if coarser is None:
                 return nothing
             found.append(coarser)
@@ -111,18 +116,32 @@ class BetweenFinder:
         k = int(np.searchsorted(before + np.cumsum(some[:, 1]), share[-1] / 2))
         return float(some[min(k, len(some) - 1), 0])
 
-    def _coarser(
-        self,
-        rasters: Rasters,
-        extents: F64,
-        shift: tuple[float, float],
-        seen: Seen,
-        extent: F64,
-    ) -> tuple[F64, float, float] | None:
-        """:func:`~ladar_volume.clouds.between_points.coarser`; None where too few are kept."""
-        kept = self._kept(rasters, extents, shift)
-        if kept is None:
+    def _near(self, rasters: Rasters, seen: Seen, spacing_m: float) -> NearRaster | None:
+        """Where vertices lie that a coarser surface is made of:
+        :func:`~ladar_volume.clouds.between_points.near_triangles`; None for everywhere.
+        """
+        side = AROUND * spacing_m
+        if not (math.isfinite(side) and side > 0.0):
             return None
+        low, size = raster_between((rasters.low, rasters.high), side)
+        if float(size[0]) * float(size[1]) > MOST_CELLS:
+            return None
+        shape = int(size[0]) + 4, int(size[1]) + 4
+        path = self._kept_folder(rasters, seen) / f"near{ENDING}"
+        near = NearRaster(rasters.axes, low, side, shape, path)
+        marked = np.zeros(shape, np.bool_)
+        for cells in self._ask(tile_coarser.seen_cells, seen, near):
+            marked.reshape(-1)[cells] = True
+        marked = ndimage.binary_dilation(marked, np.ones((3, 3), np.bool_))
+        write_arrays(path, {"marked": marked.reshape(-1)})
+        return near
+
+    def _kept_folder(self, rasters: Rasters, seen: Seen) -> Path:
+        """Where the coarser surfaces about what is looked at are at rest."""
+        return rasters.folder / f"kept_{digest([str(self.outline), seen.folder.name])}"
+
+    def _coarser(self, kept: KeptPoints, seen: Seen, extent: F64) -> tuple[F64, float, float]:
+        """:func:`~ladar_volume.clouds.between_points.coarser` of the vertices that are kept."""
         wanted = {tile for some in self._ask(tile_coarser.tiles_below, kept, seen) for tile in some}
         self._each(tile_coarser.coarser_here, [(kept, t in wanted) for t in self.fitter.of.tiles])
         shares = self._merged(tile_coarser.compare, tile_coarser.shares_together, kept, seen)
@@ -141,7 +160,12 @@ class BetweenFinder:
         return blocks_m3, self.fitter.sigma_m**2 * math.fsum(f[2] for f in found), size
 
     def _kept(
-        self, rasters: Rasters, extents: F64, shift: tuple[float, float]
+        self,
+        rasters: Rasters,
+        extents: F64,
+        shift: tuple[float, float],
+        near: NearRaster | None,
+        seen: Seen,
     ) -> KeptPoints | None:
         """The vertices of a coarser surface; None where they are too few."""
         of = self.every
@@ -154,13 +178,13 @@ class BetweenFinder:
             rows[loses]
             for rows, loses in zip(np.split(every.row, first), np.split(loses, first), strict=True)
         ]
-        more = [(rasters, shift, rows) for rows in lost]
+        folder = self._kept_folder(rasters, seen) / f"shift_{shift[0]:g}_{shift[1]:g}"
+        more = [(rasters, shift, rows, near, folder) for rows in lost]
         found = self._points(tile_spacing.keep, more)
         if sum(n for n, _, _ in found) < FEWEST // 4:
             return None
         boxes = {t: f[1] for t, f in zip(of.tiles, found, strict=True) if f[1] is not None}
-        hull, folder = joined_hull([f[2] for f in found]), tile_spacing.kept_folder(rasters, shift)
-        return KeptPoints(of.index.cloud, boxes, hull, folder)
+        return KeptPoints(of.index.cloud, boxes, joined_hull([f[2] for f in found]), folder)
 
 
 def filled_rasters(fitter: GroundFitter, outline: Path | None) -> Rasters | None:
