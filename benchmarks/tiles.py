@@ -1,9 +1,11 @@
 """What ``ladar_volume tiles`` costs: time and memory by points and workers.
 
     python benchmarks/tiles.py 1000000 FOLDER
+    python benchmarks/tiles.py 1000000 FOLDER --clean off --relevant all --sigma 0.02
 
 writes a simulated cloud of so many points (in pieces; strips along x, 10 points/m², noise of 2 cm)
-once, and prints a line of a table for 0 workers (this process), 1 and 2.
+once, and prints a line of a table for 0 workers (this process), 1 and 2. What follows the folder
+are options of the verb.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ def measure(cloud: Path, workers: int, store: Path) -> None:
     """One line of the table."""
     shutil.rmtree(store, ignore_errors=True)
     words = [sys.executable, "-m", "ladar_volume.cli.main", "tiles", str(cloud)]
-    words += ["--level", "10", "--sigma", "0.02", "--json", "--store", str(store)]
+    words += ["--level", "10", "--json", "--store", str(store), *sys.argv[3:]]
     words += ["--dask", "--workers", str(workers)] if workers else []
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)

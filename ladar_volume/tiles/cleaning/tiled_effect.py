@@ -65,8 +65,8 @@ def strays_over(of: TiledCloud, tile: Tile, folder: Path) -> Box | None:
 
 @kernel
 def circles_with(corners: F64, boxes: F64, points: F64, w: F64) -> tuple[Bool, Bool]:
-    """The triangles, corners (m, 3, 2), in or on whose circumcircle one of points (s, 3) lies, these
-    ascending by x, and the points (s,) that lie so. boxes : (m, 4) of the circles, NaN where that
+    """The triangles, corners (m, 3, 2), in or on whose circumcircle a point lies of (s, 3), these
+    ascending by x; and the points (s,) that lie so. boxes : (m, 4) of the circles, NaN where that
     is not known
     """
     gone, held = np.zeros(len(corners), np.bool_), np.zeros(len(points), np.bool_)
