@@ -101,7 +101,7 @@ def test_steps_are_those_of_the_thinned_points_of_all_tiles(spacing, tmp_path):
     parts = parts_of_file(path, tmp_path / "s", 11.0, Reading(), 3000)
     asked = PointsTask(EVERY, 0.02, False)
     made = triangulated(parts, asked, OwnProcess(), lambda stage, total, done: None)
-    (found,) = step_doubts(GroundFitter(made.of, OwnProcess(), 0.02), 0.15, spacing)
+    (found,) = step_doubts(GroundFitter(made.of, OwnProcess(), 0.02), None, 0.15, spacing)
     points, rows = read_cloud(path).r, slice(None)
     if spacing < 0.25:
         extent = points[:, :2].min(axis=0), points[:, :2].max(axis=0)

@@ -159,6 +159,8 @@ def settled(
         order = np.argsort(box_distance(boxes, box_of(here[:, :2])), kind="stable")[:many]
         around = gathered(asker, [tiles[k] for k in order.tolist()], None)
         found, sure = answer(around, around.rows(own[left]))
+        if len(order) == len(tiles):
+            sure = np.ones(len(left), np.bool_)
         for whole, some in zip(out, found, strict=True):
             whole[left[sure]] = some[sure]
         left, many = left[~sure], 2 * many

@@ -102,7 +102,7 @@ def judged(
     doubts += coarse_doubts(volume, between)
     if sought.objects:
         spacing = math.inf if rasters is None else median_of(told, rasters.count)
-        doubts += step_doubts(fitter, v.object_height_m, spacing)
+        doubts += step_doubts(fitter, outline, v.object_height_m, spacing)
     if around is not None:
         volume, doubts = above_ground(volume, around, v, doubts)
         return Judged(volume, between, doubts)

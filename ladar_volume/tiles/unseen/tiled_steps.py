@@ -19,15 +19,17 @@ from ladar_volume.math.own_axes import raster_between
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.model.verdict import Doubt
-from ladar_volume.tiles.array_file import at_rest, read_arrays, write, write_arrays
+from ladar_volume.tiles.array_file import at_rest, read, read_arrays, write, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_outline import Box, box_of
+from ladar_volume.tiles.tile_patch import inside_of, rows_at
 from ladar_volume.tiles.tile_places import hull_of_places, joined_hull, places
 from ladar_volume.tiles.tile_stars import tile_stars
 from ladar_volume.tiles.tile_store import Tile
-from ladar_volume.tiles.tile_surface import EVERY, surface_folder, surface_of
+from ladar_volume.tiles.tile_surface import TileSurface, surface_folder, surface_of
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.unseen.tile_spacing import Cells, KeptPoints, first_of_cells, winners
+from ladar_volume.tin.full_tin import any_corner, vertex_mask
 from ladar_volume.volume.field_checks.standing_objects import STEEP
 
 
@@ -63,15 +65,20 @@ def highest_step(triangles: I32, vertices: F64, step_m: float, steep: float) -> 
     return Highest(steps, most, x, y)
 
 
-def step_doubts(fitter: GroundFitter, object_height_m: float, spacing_m: float) -> list[Doubt]:
-    """Something may stand on the surface. spacing_m : of the points, in the median"""
+def step_doubts(
+    fitter: GroundFitter, outline: Path | None, object_height_m: float, spacing_m: float
+) -> list[Doubt]:
+    """Something may stand on the surface: on a body or its ground, or anywhere where there is no
+    outline. outline : where the triangles inside are at rest, None for all · spacing_m : of the
+    points, in the median
+    """
     of, workers = fitter.of, fitter.workers
     step = max(STEP * object_height_m, CLEAR * fitter.sigma_m)
     if spacing_m < step:
         kept = thinned(fitter, step)
-        found = ask(workers, of, steps_of_thinned, [(kept, step)] * len(of.tiles))
+        found = ask(workers, of, steps_of_thinned, [(kept, outline, step)] * len(of.tiles))
     else:
-        found = ask(workers, of, steps_of, [(step,)] * len(of.tiles))
+        found = ask(workers, of, steps_of, [(outline, step)] * len(of.tiles))
     if not sum(f.steps for f in found):
         return []
     one = max(found, key=lambda f: f.rise)
@@ -84,14 +91,28 @@ def step_doubts(fitter: GroundFitter, object_height_m: float, spacing_m: float) 
     return [Doubt("tiles_not_judged", words, one.rise)]
 
 
-def steps_of(of: TiledCloud, tile: Tile, step_m: float) -> Highest:
+def asked_about(surface: TileSurface, tile: Tile, outline: Path | None) -> Bool:
+    """The vertices (n,) of a tile that something may stand at: inside the outline, and its own in
+    the ring of ground around; all without an outline.
+    """
+    if outline is None:
+        return np.ones(len(surface.own), np.bool_)
+    out = vertex_mask(surface.tin, inside_of(surface, tile, outline))
+    out[np.flatnonzero(surface.used)[read(outline, "ring", tile)]] = True
+    return out
+
+
+def steps_of(of: TiledCloud, tile: Tile, outline: Path | None, step_m: float) -> Highest:
     """The steps of a tile."""
-    surface = surface_of(of.index, EVERY, tile)
-    corners = surface.tin.triangles[surface.counted]
-    return Highest(*highest_step(corners, surface.tin.vertices, step_m, STEEP))
+    surface = surface_of(of.index, of.limits, tile)
+    t = surface.tin.triangles
+    own = surface.own & asked_about(surface, tile, outline)
+    return Highest(*highest_step(t[any_corner(t, own)], surface.tin.vertices, step_m, STEEP))
 
 
-def steps_of_thinned(of: TiledCloud, tile: Tile, kept: KeptPoints, step_m: float) -> Highest:
+def steps_of_thinned(
+    of: TiledCloud, tile: Tile, kept: KeptPoints, outline: Path | None, step_m: float
+) -> Highest:
     """The steps round the points of a tile that are kept."""
     if tile not in kept.box:
         return NOTHING
@@ -99,8 +120,11 @@ def steps_of_thinned(of: TiledCloud, tile: Tile, kept: KeptPoints, step_m: float
         stars = tile_stars(kept, tile)
     except SurfaceError:  # all that are kept are on one line
         return NOTHING
-    corners = stars.tin.triangles[stars.counted & stars.star]
-    return Highest(*highest_step(corners, stars.tin.vertices, step_m, STEEP))
+    surface = surface_of(of.index, of.limits, tile)
+    about = surface.tin.vertices[asked_about(surface, tile, outline)]
+    own = stars.own & (rows_at(about, stars.tin.vertices) >= 0)
+    t = stars.tin.triangles
+    return Highest(*highest_step(t[any_corner(t, own)], stars.tin.vertices, step_m, STEEP))
 
 
 def thinned(fitter: GroundFitter, cell_m: float) -> KeptPoints:
