@@ -15,6 +15,7 @@ from whole_and_tiles import (
     write,
 )
 
+from ladar_volume.cli.main import main
 from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.pointfiles.crs import Reading
@@ -66,6 +67,19 @@ def test_what_strays_would_change(tmp_path, capsys):
     assert whole["strays"] > 40 and abs(whole["effect_m3"]) > 0.1
     assert tiled["effect_m3"] == pytest.approx(whole["effect_m3"], rel=1e-9)
     assert tiled["share"] == whole["share"]
+
+
+def test_what_is_left_out_is_named(tmp_path, capsys):
+    rng = np.random.default_rng(5)
+    path = write(tmp_path / "cloud.laz", site(gridded, "ellipse", 4000, rng, 0, True), rng)
+    words = ["--level", "98", "--tile", "20", "--store", str(tmp_path / "s")]
+    tiled = volume(capsys, path, *words)
+    (whole,) = volume(capsys, path, "--level", "98")["surfaces"]
+    left = whole["sampled"]["beyond"], tiled["clean"]["strays"]
+    assert tiled["tiles"]["alone"] == left[0] and sum(left) == 3
+    assert main(["volume", str(path), *words]) == 0
+    out = capsys.readouterr().out
+    assert all(f"left out: {n:,} " in out for n in left if n)
 
 
 def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):

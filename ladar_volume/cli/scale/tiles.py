@@ -60,8 +60,10 @@ def run(arguments: argparse.Namespace) -> int:
             f"{at['points']:,} points, {at['vertices']:,} vertices, {at['triangles']:,} triangles "
             f"in {at['count']:,} tiles of {at['side_m']:g} m, at rest in {at['folder']}"
         )
-        for why, count in at["left_out"].items():
-            console.print(f"left out: {count:,} {why}")
+        alone = {"alone beyond what was sampled": at["alone"], "strays": facts["clean"]["strays"]}
+        for why, count in (at["left_out"] | alone).items():
+            if count:
+                console.print(f"left out: {count:,} {why}")
     return exit_code(arguments, facts["verdict"])
 
 
@@ -127,6 +129,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
             "triangles": sum(s.triangles for s in sums),
             "rounds": max(s.rounds for s in sums),
             "left_out": index.left_out,
+            "alone": sum(index.every_point.count.values()) - sum(index.count.values()),
             "folder": str(index.cloud.folder),
             "sigma_from": found.sigma_from,
             "relevant": limits_of(a).relevant,
