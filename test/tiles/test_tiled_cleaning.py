@@ -12,7 +12,7 @@ from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.math.equal_rows import distinct_rows, rows_of
 from ladar_volume.tiles.array_file import at_rest
-from ladar_volume.tiles.cleaning.near_box import EVERYWHERE, extent_of_cloud, near_box
+from ladar_volume.tiles.cleaning.near_box import EVERYWHERE, bounds, extents_of_tiles, near_box
 from ladar_volume.tiles.cleaning.tiled_cleaning import Cleaner
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import distribute_part, parts_of_file, tile_index
@@ -119,11 +119,16 @@ def test_the_box_of_what_is_near_has_the_ends_of_the_whole(tmp_path):
     p = cloud_with_strays(random, 3000, rng, 0, True)
     path = write(tmp_path / "cloud.laz", p, rng)
     of = tiles_of(path, tmp_path / "store", 20.0)
-    found = near_box(OwnProcess(), of, extent_of_cloud(OwnProcess(), of))
+    found = near_box(OwnProcess(), of, extents_of_tiles(OwnProcess(), of))
     r = distinct(path)
     k = int(0.001 * len(r))
     low, high = np.sort(r, axis=0)[[k, -1 - k]]
     room = 100.0 * (high - low).max()
     assert np.array_equal(found, np.r_[low - room, high + room])
     near = tiles_of(write(tmp_path / "near.laz", p[:3000], rng), tmp_path / "other", 20.0)
-    assert near_box(OwnProcess(), near, extent_of_cloud(OwnProcess(), near)) is EVERYWHERE
+    extents = extents_of_tiles(OwnProcess(), near)
+    assert near_box(OwnProcess(), near, extents) is EVERYWHERE
+    at_most, at_least = bounds(extents, 2)  # of 3,000 points
+    r = np.sort(distinct(tmp_path / "near.laz"), axis=0)
+    assert (at_most >= r[2]).all() and (at_least <= r[-3]).all()
+    assert (at_most < r[-3]).all() and (at_least > r[2]).all()

@@ -19,7 +19,7 @@ import numpy as np
 from ladar_volume.math.own_axes import OwnAxes, moments_about
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.array_file import ENDING, at_rest, read_arrays, write_arrays
-from ladar_volume.tiles.cleaning.near_box import near_points
+from ladar_volume.tiles.cleaning.near_box import ends_of, near_points
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_patch import in_box, tiles_in
@@ -136,8 +136,7 @@ def number(of: TiledCloud, tile: Tile, curve: Curve, frame: OwnFrame) -> Along:
     arrays = {"points": points, "rank": first + within[ours]}
     write_arrays(at_rest(curve.folder, "numbered", tile), arrays)
     r = frame.of(points)
-    low, high = r.min(axis=0, initial=np.inf), r.max(axis=0, initial=-np.inf)
-    return Along(np.array([r[:, 0].sum(), r[:, 1].sum()]), low, high)
+    return Along(np.array([r[:, 0].sum(), r[:, 1].sum()]), *ends_of(r))
 
 
 def around_tile(of: TiledCloud, tile: Tile, width_m: float) -> Box:

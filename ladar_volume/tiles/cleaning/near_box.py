@@ -62,6 +62,8 @@ def near_points(of: TiledCloud, tile: Tile, near: F64) -> tuple[F64, I64, F64]:
     points = of.index.points(tile)
     some = distinct_rows(points)
     points, rows = rows_of(points, some), of.index.rows(tile)[some]
+    if np.isinf(near).all():
+        return points, rows, points[:0]
     inside = ((points >= near[:3]) & (points <= near[3:])).all(axis=1)
     return rows_of(points, np.flatnonzero(inside)), rows[inside], points[~inside]
 
@@ -70,8 +72,16 @@ def extent_of_tile(of: TiledCloud, tile: Tile, near: F64) -> Extent:
     """Of a tile's distinct points in a box (6,)."""
     points, _, _ = near_points(of, tile, near)
     total = np.array([points[:, k].sum() for k in range(3)])
-    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    return Extent(len(points), total, low, high)
+    return Extent(len(points), total, *ends_of(points))
+
+
+def ends_of(points: F64) -> tuple[F64, F64]:
+    """Least and greatest coordinates (3,), m, of points (n, 3); by column, which is faster."""
+    low, high = (
+        [end(points[:, k], initial=first) for k in range(3)]
+        for end, first in ((np.min, np.inf), (np.max, -np.inf))
+    )
+    return np.array(low), np.array(high)
 
 
 def extent_together(tiles: Sequence[Extent]) -> Extent:
@@ -134,13 +144,18 @@ def narrowed(searches: Sequence[Search], found: Binned) -> list[Search]:
     return out
 
 
-def near_box(workers: Workers, of: TiledCloud, whole: Extent) -> F64:
-    """The box (6,), m, of points that are not far from all others; everywhere for none."""
+def near_box(workers: Workers, of: TiledCloud, tiles: Sequence[Extent]) -> F64:
+    """The box (6,), m, of points that are not far from all others; everywhere for none. tiles : the
+    extents of all
+    """
+    whole = extent_together(tiles)
     n = whole.count
     left_out = max(1, int(END * n))
     if n < 4 * left_out:
         return EVERYWHERE
     ranks = (left_out, n - 1 - left_out)
+    if all_near(whole, *bounds(tiles, left_out)):
+        return EVERYWHERE
     ends = list(zip(whole.low.tolist(), whole.high.tolist(), strict=True))
     searches = [Search(k, rank, *ends[k]) for k in range(3) for rank in ranks]
     while not all(s.found for s in searches):
@@ -155,13 +170,32 @@ def near_box(workers: Workers, of: TiledCloud, whole: Extent) -> F64:
     return np.asarray(np.r_[low - room, high + room])
 
 
-def surely_near(searches: Sequence[Search], whole: Extent) -> bool:
-    """Whether no point can be far, wherever in their bins the ranks are."""
-    low, high = np.array([s.high for s in searches[::2]]), np.array([s.low for s in searches[1::2]])
+def bounds(tiles: Sequence[Extent], left_out: int) -> tuple[F64, F64]:
+    """What the values with so many below them, and above them, are at most and at least, (3,) m."""
+    count = np.array([t.count for t in tiles])
+    at_most, at_least = np.empty(3), np.empty(3)
+    for k in range(3):
+        high, low = np.array([t.high[k] for t in tiles]), np.array([t.low[k] for t in tiles])
+        up, down = np.argsort(high), np.argsort(-low)
+        at_most[k] = high[up][np.searchsorted(np.cumsum(count[up]), left_out, side="right")]
+        at_least[k] = low[down][np.searchsorted(np.cumsum(count[down]), left_out, side="right")]
+    return at_most, at_least
+
+
+def all_near(whole: Extent, low: F64, high: F64) -> bool:
+    """Whether no point can be far, where the values by rank are at most ``low`` and at least
+    ``high`` (3,), m.
+    """
     room = FAR * float((high - low).max())
     return bool(room > 0.0 and ((whole.low >= low - room) & (whole.high <= high + room)).all())
 
 
-def extent_of_cloud(workers: Workers, of: TiledCloud, near: F64 = EVERYWHERE) -> Extent:
-    """Of all tiles' distinct points in a box (6,), m."""
-    return extent_together(ask(workers, of, extent_of_tile, [(near,)] * len(of.tiles)))
+def surely_near(searches: Sequence[Search], whole: Extent) -> bool:
+    """Whether no point can be far, wherever in their bins the ranks are."""
+    low, high = np.array([s.high for s in searches[::2]]), np.array([s.low for s in searches[1::2]])
+    return all_near(whole, low, high)
+
+
+def extents_of_tiles(workers: Workers, of: TiledCloud, near: F64 = EVERYWHERE) -> list[Extent]:
+    """Of the distinct points of each tile in a box (6,), m."""
+    return ask(workers, of, extent_of_tile, [(near,)] * len(of.tiles))

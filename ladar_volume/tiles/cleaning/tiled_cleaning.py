@@ -39,7 +39,13 @@ from ladar_volume.tiles.cleaning.cleaned_tiles import (
     write_index,
 )
 from ladar_volume.tiles.cleaning.curve_tiles import CELLS, Curve, OwnFrame, write_cells
-from ladar_volume.tiles.cleaning.near_box import EVERYWHERE, Extent, extent_of_cloud, near_box
+from ladar_volume.tiles.cleaning.near_box import (
+    EVERYWHERE,
+    Extent,
+    extent_together,
+    extents_of_tiles,
+    near_box,
+)
 from ladar_volume.tiles.cleaning.tile_strays import Good, StrayTuning
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged
 from ladar_volume.tiles.tile_work import Workers
@@ -145,7 +151,7 @@ class Cleaner:
 
     def noise(self) -> CloudNoise | None:
         """The noise of all points, strays or not; None where it is not told."""
-        extent = extent_of_cloud(self.workers, self.of)
+        extent = extent_together(extents_of_tiles(self.workers, self.of))
         with work_folder(self.of.index.cloud.folder) as work:
             points = self._in_order(work, EVERYWHERE, extent)
             first, many = stretches_of(points.count)
@@ -153,12 +159,12 @@ class Cleaner:
 
     def _without_strays(self, work: Path) -> Decided:
         """Which points are kept."""
-        everything = extent_of_cloud(self.workers, self.of)
-        near = near_box(self.workers, self.of, everything)
-        far_away = near is not EVERYWHERE
-        extent = extent_of_cloud(self.workers, self.of, near) if far_away else everything
-        all_points = self._in_order(work, near, extent)
-        far = everything.count - all_points.count
+        extents = extents_of_tiles(self.workers, self.of)
+        near, everything = near_box(self.workers, self.of, extents), sum(e.count for e in extents)
+        if near is not EVERYWHERE:
+            extents = extents_of_tiles(self.workers, self.of, near)
+        all_points = self._in_order(work, near, extent_together(extents))
+        far = everything - all_points.count
         first, many = stretches_of(all_points.count)
         noise = noise_if_told(self._between(all_points, first, first + many, None)[:, 1:])
         if noise is None or all_points.count < FEWEST:
