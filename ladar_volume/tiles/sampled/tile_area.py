@@ -20,7 +20,6 @@ from ladar_volume.tiles.tile_surface import (
     COUNTS,
     EVERY,
     Limits,
-    TileSurface,
     counted_of,
     counts_path,
     surface_of,
@@ -42,7 +41,7 @@ class AreaTask:
     rasters: Rasters
     folder: Path
 
-    def spacing(self, surface: TileSurface, tile: Tile) -> F64:
+    def spacing(self, tile: Tile) -> F64:
         """How far apart points lie around the vertices (n,) of a tile, m."""
         return read(self.folder, "spacing", tile)
 
@@ -112,7 +111,7 @@ def counted_area(of: TiledCloud, tile: Tile, task: AreaTask, kept: Bool) -> int:
     surface = surface_of(of.index, EVERY, tile)
     tin, small = surface.tin, read(task.folder, "small", tile)
     mask = read(task.folder, "left", tile) & np.append(kept, True)[small]
-    spacing = task.spacing(surface, tile)
+    spacing = task.spacing(tile)
     shown = np.where(np.isfinite(spacing), spacing, 0.0)
     bridged, gap = np.empty_like(mask), np.empty_like(mask)
     wide_kernel(0, len(mask), Corners(tin.vertices, tin.triangles), mask, shown, bridged, gap)

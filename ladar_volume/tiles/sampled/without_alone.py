@@ -91,9 +91,10 @@ def without_alone(before: TileIndex, folder: Path, found: Mapping[Tile, AloneTil
 
 def made(before: TileIndex, folder: Path, arrays: Mapping[str, np.ndarray]) -> WithoutAlone:
     """The same from its arrays."""
-    alone = dict[Tile, F64]()
-    for i, j in np.unique(arrays["owner"], axis=0).tolist():
-        alone[i, j] = arrays["places"][(arrays["owner"] == (i, j)).all(axis=1)]
+    owner, first = np.unique(arrays["owner"], axis=0, return_index=True)
+    order = np.argsort(first)  # the places of a tile follow one another
+    each = np.split(arrays["places"], first[order][1:])
+    alone = {(i, j): own for (i, j), own in zip(owner[order].tolist(), each, strict=True)}
     changed = frozenset((i, j) for i, j in arrays["changed"].tolist())
     cloud = dataclasses.replace(before.cloud, folder=folder)
     out = WithoutAlone(
