@@ -153,7 +153,10 @@ def settled(
     around = gathered(asker, tiles_in(of.index, box), box)
     found, sure = answer(around, around.rows(own))
     out, left, many = tuple(f.copy() for f in found), np.flatnonzero(~sure), NEAREST
-    tiles, boxes = of.tiles, np.array([of.index.box[t] for t in of.tiles])
+    if not len(left):
+        return out
+    tiles = of.tiles
+    boxes = np.array([of.index.box[t] for t in tiles])
     while len(left):
         here = around.points[around.rows(own[left])]
         order = np.argsort(box_distance(boxes, box_of(here[:, :2])), kind="stable")[:many]
