@@ -82,6 +82,18 @@ def test_what_is_left_out_is_named(tmp_path, capsys):
     assert all(f"left out: {n:,} " in out for n in left if n)
 
 
+def test_strays_over_a_tile_of_which_nothing_counts(tmp_path, capsys):
+    rng = np.random.default_rng(538)
+    p = site(on_lines, "box", 800, rng, 30, True)
+    path = write(tmp_path / "cloud.laz", p, rng)
+    words = ["--base", "ground", "--max-edge", "3"]
+    whole = volume(capsys, path, *words)
+    tiled = volume(capsys, path, *words, "--tile", "7", "--store", str(tmp_path / "s"))
+    effect = whole["clean"]["effect_m3"]
+    assert tiled["clean"]["effect_m3"] == pytest.approx(effect, rel=1e-9, abs=1e-9)
+    assert tiled["net_m3"] == pytest.approx(whole["net_m3"], rel=1e-9)
+
+
 def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):
     rng = np.random.default_rng(4)
     path = write(tmp_path / "cloud.laz", site(scattered, "box", 90, rng), rng)

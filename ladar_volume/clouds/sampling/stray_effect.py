@@ -32,6 +32,7 @@ def stray_effect(tin: Tin, inside_m2: F64, strays: F64, base: Plane | None = Non
     mesh = Mesh(tin.vertices, tin.triangles, tin.neighbours)
     gone: Bool = np.asarray(reached_kernel(mesh, over, where[where >= 0], workspace()))
     rows = corners_of(tin.triangles[gone], len(tin.vertices))
+    over = over[np.lexsort(over.T[::-1])]  # of several at one place the lowest counts
     fresh = triangles_over(np.vstack([tin.vertices[rows], over]))
     at = locate(triangle_index(tin, gone), fresh[:, :, :2].mean(axis=1))
     area = footprint_areas(tin.vertices, tin.triangles)

@@ -35,7 +35,7 @@ from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.predicates import incircle, workspace
 
 #: Edges from a tile's own vertices within which lies what its triangles with strays cover.
-EDGES = 3
+EDGES = 6
 
 
 def tiled_effect(workers: Workers, of: TiledCloud, outline: Path | None, base: Plane) -> float:
@@ -57,8 +57,11 @@ def strays_over(of: TiledCloud, tile: Tile, folder: Path) -> Box | None:
     strays = strays_in(index, reach(of, tile))
     if len(strays):
         surface = surface_of(of.index, of.limits, tile)
-        over = triangle_index(surface.tin, surface.tin.relevant & surface.counted)
-        strays = strays[locate(over, strays[:, :2]) >= 0]
+        counted = surface.tin.relevant & surface.counted
+        over: Bool = np.zeros(len(strays), np.bool_)
+        if counted.any():
+            over = locate(triangle_index(surface.tin, counted), strays[:, :2]) >= 0
+        strays = strays[over]
     write_arrays(at_rest(folder, "over", tile), {"strays": strays[np.argsort(strays[:, 0])]})
     return box_of(strays[:, :2])
 
@@ -129,7 +132,7 @@ def strays_about(
         if every or (b[0] <= high[0] and b[2] >= low[0] and b[1] <= high[1] and b[3] >= low[1]):
             near.append(read_arrays(at_rest(folder, "over", other), ("strays",))["strays"])
     strays = np.concatenate(near)
-    strays = strays[np.argsort(strays[:, 0])]
+    strays = strays[np.lexsort(strays.T[::-1])]
     return strays, *circles_with(corners, boxes, strays, workspace())
 
 
