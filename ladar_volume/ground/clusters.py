@@ -13,6 +13,7 @@ import itertools
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.union_find import root_of
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -23,15 +24,6 @@ STEPS = sorted(
     (s for s in itertools.product(range(-2, 3), repeat=3) if s > (0, 0, 0)),
     key=lambda s: (sum(c * c for c in s), s),
 )
-
-
-@kernel
-def root_of(root: I64, i: int) -> int:
-    """Root of cell i; paths are halved on the way."""
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
 
 
 @kernel

@@ -64,6 +64,13 @@ def side_ends(tin: Tin, t: I64, k: I64) -> I32:
     return np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
 
 
+def first_ends(vertices: F64, ends: I32) -> I64:
+    """Of sides with ends (b, 2) the end (b,) that comes first by x, then y."""
+    a, b = vertices[ends[:, 0]], vertices[ends[:, 1]]
+    second = (b[:, 0] < a[:, 0]) | ((b[:, 0] == a[:, 0]) & (b[:, 1] < a[:, 1]))
+    return np.where(second, ends[:, 1], ends[:, 0]).astype(np.int64)
+
+
 def border(tin: Tin, mask: Bool) -> tuple[I32, F64, Bool]:
     """The sides of triangles (m,) that bound them: their ends (b, 2), counter-clockwise
     about the triangles, their lengths (b,) m, and whether there is no surface beyond.

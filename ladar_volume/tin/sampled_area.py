@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.math.kernels import in_threads, kernel, leaf_kernel, run_in_ranges
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between
+from ladar_volume.math.union_find import root_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
@@ -257,15 +258,6 @@ def first_of(vertices: F64, a: int, b: int) -> int:
     """Of two vertices the first by x, then y."""
     x, u = vertices[a, 0], vertices[b, 0]
     return a if x < u or (x == u and vertices[a, 1] < vertices[b, 1]) else b
-
-
-@leaf_kernel
-def root_of(root: I32, t: int) -> int:
-    """The last of the roots (m,) from one on."""
-    while root[t] != t:
-        root[t] = root[root[t]]
-        t = root[t]
-    return t
 
 
 @leaf_kernel

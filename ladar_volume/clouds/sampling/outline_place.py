@@ -39,6 +39,12 @@ def cell_kernel(triangles: I32, area: F64, mask: Bool, least: float, n: int) -> 
     return out / np.maximum(count, 1.0)
 
 
+def open_sides(tin: Tin, mask: Bool) -> Bool:
+    """The sides (m, 3) of triangles (m,) beyond which no surface is."""
+    beyond = tin.neighbours
+    return np.asarray(mask[:, None] & ((beyond == -1) | ((beyond >= 0) & ~tin.relevant[beyond])))
+
+
 @dataclass(frozen=True)
 class EdgeTriangles:
     """Triangles of a surface at the edge of what was sampled. area : (m,) m² of those that count, 0
@@ -58,9 +64,7 @@ class EdgeTriangles:
         least = 0.5 * FLAT * median_m2
         cell = np.asarray(cell_kernel(tin.triangles, area, mask, least, len(tin.vertices)))
         flat = mask & (2.0 * area < FLAT * cell[tin.triangles].mean(axis=1))
-        beyond = tin.neighbours
-        open_ = mask[:, None] & ((beyond == -1) | ((beyond >= 0) & ~tin.relevant[beyond]))
-        return cls(area, cell, flat, open_)
+        return cls(area, cell, flat, open_sides(tin, mask))
 
     def along(self, tin: Tin) -> Bool:
         """The flat triangles (m,) that lie along the edge: those with an open side, and all that

@@ -18,7 +18,7 @@ from ladar_volume.tiles.tile_outline import Box, near_stored_places, write_verti
 from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import surface_of, used_of
-from ladar_volume.tin.boundary import border
+from ladar_volume.tin.boundary import border, first_ends
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.uncertainty.ground_field import OCCUPIED, squares_grid
 from ladar_volume.volume.field_checks.base_readings import TOE, area_moments
@@ -161,8 +161,7 @@ def border_sides(of: TiledCloud, tile: Tile, outline: Path | None) -> tuple[F64,
     ends, length, is_open = border(tin, inside)
     xy = tin.vertices[:, :2]
     a, b = xy[ends[:, 0]], xy[ends[:, 1]]
-    second = (b[:, 0] < a[:, 0]) | ((b[:, 0] == a[:, 0]) & (b[:, 1] < a[:, 1]))
-    mine = surface.own[np.where(second, ends[:, 1], ends[:, 0])]
+    mine = surface.own[first_ends(tin.vertices, ends)]
     closed = mine & ~is_open
     area = footprint_areas(tin.vertices, tin.triangles[inside & surface.counted]).sum()
     facts = np.array([length[closed].sum(), length[mine & is_open].sum(), area])

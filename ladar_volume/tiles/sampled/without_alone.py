@@ -15,6 +15,7 @@ from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.array_file import ENDING, read_arrays, write_arrays
 from ladar_volume.tiles.sampled.tile_area import AloneTile
 from ladar_volume.tiles.tile_outline import box_of
+from ladar_volume.tiles.tile_patch import names_of
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 
 #: So many indices are kept by a process: each pass has one, with and without its hull.
@@ -52,7 +53,8 @@ class WithoutAlone(TileIndex):
     def _kept(self, tile: Tile, xy: F64) -> Bool | slice:
         """Which of places (n, 2) of a tile are kept."""
         alone = self.alone.get(tile)
-        return slice(None) if alone is None else ~np.isin(names_of(xy), names_of(alone))
+        # -0 is 0
+        return slice(None) if alone is None else ~np.isin(names_of(xy + 0.0), names_of(alone))
 
     def points(self, tile: Tile) -> F64:
         """Points (n, 3) m of a tile in file order."""
@@ -71,11 +73,6 @@ class WithoutAlone(TileIndex):
     def place_rows(self, tile: Tile) -> I64:
         """The least of the rows at each of these (k,)."""
         return self._before.place_rows(tile)[self._kept(tile, self._before.places(tile))]
-
-
-def names_of(xy: F64) -> np.ndarray:
-    """Places (n, 2) m, the first two columns, as one number each; -0 is 0."""
-    return np.ascontiguousarray(xy[:, :2] + 0.0).view(np.complex128).reshape(-1)
 
 
 def without_alone(before: TileIndex, folder: Path, found: Mapping[Tile, AloneTile]) -> WithoutAlone:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from ladar_volume.clouds.sampling.outline_place import (
     DIRECTIONS,
     EdgeTriangles,
+    open_sides,
     strip_sums,
     strip_variance,
 )
@@ -27,11 +27,11 @@ from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_outline import TileParts, parts_of
 from ladar_volume.tiles.tile_patch import inside_of, patch_of, rows_at
 from ladar_volume.tiles.tile_store import Tile, digest
-from ladar_volume.tiles.tile_surface import TileSurface, surface_folder, surface_of
+from ladar_volume.tiles.tile_surface import surface_folder, surface_of
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels
 from ladar_volume.tiles.tiled_ranks import median_of_tiles
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import first_ends, parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 
 
@@ -63,16 +63,6 @@ def areas_inside(of: TiledCloud, tile: Tile, outline: Path | None) -> F64:
     return footprint_areas(surface.tin.vertices, surface.tin.triangles[inside])
 
 
-class AroundTile(NamedTuple):
-    """surface : of a tile · inside : (m,) its triangles within the outline · edge : what they are
-    at the edge
-    """
-
-    surface: TileSurface
-    inside: Bool
-    edge: EdgeTriangles
-
-
 def flat_parts(
     of: TiledCloud,
     tile: Tile,
@@ -86,9 +76,9 @@ def flat_parts(
     where it is not wanted. at_edge : it is where a triangle has an open side
     """
     surface = surface_of(of.index, of.limits, tile)
-    inside, beyond = inside_of(surface, tile, outline), surface.tin.neighbours
-    outside = (beyond == -1) | ((beyond >= 0) & ~surface.tin.relevant[beyond])
-    if not (wanted or (at_edge and bool((inside[:, None] & outside).any()))):
+    inside = inside_of(surface, tile, outline)
+    is_open = open_sides(surface.tin, inside)
+    if not (wanted or (at_edge and bool(is_open.any()))):
         return None
     patch = patch_of(of, tile, surface, outline, 2)
     around = dataclasses.replace(patch.tin, relevant=patch.relevant)
@@ -99,9 +89,9 @@ def flat_parts(
     label = np.asarray(parts_kernel(surface.tin.neighbours, flat), np.int64)
     write(folder, "flat", tile, label)
     write(folder, "cell", tile, edge.cell[at])
-    is_open = (inside[:, None] & outside).any(axis=1) & flat
+    at_side = is_open.any(axis=1) & flat
     n = int(label.max(initial=-1)) + 1
-    return parts_of(surface, label, np.bincount(label[is_open], minlength=n).astype(np.float64))
+    return parts_of(surface, label, np.bincount(label[at_side], minlength=n).astype(np.float64))
 
 
 def along_edge(parts: Sequence[TileParts]) -> list[Bool]:
@@ -132,12 +122,8 @@ def strips(
     surface = surface_of(of.index, of.limits, tile)
     tin, inside = surface.tin, inside_of(surface, tile, outline)
     cell = read(folder, "cell", tile)
-    beyond = tin.neighbours
-    outside = (beyond == -1) | ((beyond >= 0) & ~tin.relevant[beyond])
     none = np.zeros(len(inside), np.bool_)
-    edge = EdgeTriangles(np.zeros(len(inside)), cell, none, inside[:, None] & outside)
+    edge = EdgeTriangles(np.zeros(len(inside)), cell, none, open_sides(tin, inside))
     ends = edge.sides(tin, inside, np.append(gone, False)[read(folder, "flat", tile)])
-    a, b = (tin.vertices[ends[:, j], :2] for j in (0, 1))
-    second = (b[:, 0] < a[:, 0]) | ((b[:, 0] == a[:, 0]) & (b[:, 1] < a[:, 1]))
-    mine = ends[surface.own[np.where(second, ends[:, 1], ends[:, 0])]]
+    mine = ends[surface.own[first_ends(tin.vertices, ends)]]
     return strip_sums(tin.vertices, cell, height_above(tin.vertices, base), mine)
