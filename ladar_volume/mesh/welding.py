@@ -16,8 +16,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.clusters import flatten_roots, root_of
+from ladar_volume.ground.clusters import flatten_roots
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.union_find import root_of
 from ladar_volume.mesh.topology import edge_table, vertices_of
 from ladar_volume.model.records import F64, I32, I64
 

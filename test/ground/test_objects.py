@@ -15,11 +15,11 @@ from ladar_volume.ground.clusters import (
     component_labels,
     flatten_roots,
     join_cells,
-    root_of,
 )
 from ladar_volume.ground.objects import find_objects, objects_at_places, objects_in_regions
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
+from ladar_volume.math.union_find import root_of
 from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.parameters import GroundParameters
