@@ -396,7 +396,8 @@ def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
         fitted = dataclasses.replace(fitted, volume=volume)
     cleared = without_objects(surface, fitted, task.options, rings)
     by_body = fitted.volume.base == "ground" and fitted.volume.outline == "auto"
-    if by_body or task.outlines is not None or not nearly_all_above(cleared, fitted):
+    stays = not cleared.objects or by_body or task.outlines is not None
+    if stays or not nearly_all_above(cleared, fitted):
         return cleared
     return surface
 

@@ -22,8 +22,8 @@ from ladar_volume.clouds.ground_cover import (
     steep_vertices,
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
-from ladar_volume.clouds.sampling.cloud_objects import STEP
 from ladar_volume.clouds.sampling.layers import layer_doubts, two_layers
+from ladar_volume.clouds.sampling.object_search import STEP
 from ladar_volume.clouds.sampling.objects_beside import beside_doubts, objects_within
 from ladar_volume.clouds.sampling.outline_place import outline_variance
 from ladar_volume.clouds.sampling.thin_toe import volume_beyond
@@ -384,13 +384,14 @@ def volume_with_verdict(
         return with_readings(found, readings, doubts), Verdict(tuple(doubts))
     if math.isnan(found.sigma_m3):
         return with_known_cover(found, tin, base, inside, v), Verdict(tuple(doubts))
-    doubts += object_doubts(objects_within(surface, inside), found.sigma_m3)
+    within = objects_within(surface, inside)
+    doubts += object_doubts(within, found.sigma_m3)
     faces = np.zeros(len(tin.vertices), np.bool_)
     if by_body or any(doubt.name == "object" for doubt in doubts):
         faces = faces_around(surface, base, inside, v.object_height_m)
     if by_body:
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
-        doubts += beside_doubts(surface, inside, (v.min_body_m3, found.net_m3))
+        doubts += beside_doubts(surface.objects, within, (v.min_body_m3, found.net_m3))
     elif v.outline == "all":
         doubts += notch_doubts(tin, base, found.cut_m3 + found.fill_m3, found.sigma_m3)
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)

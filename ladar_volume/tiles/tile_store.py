@@ -208,6 +208,11 @@ class TileIndex:
         """The tiles with the points that the surface was not made of, too."""
         return self
 
+    @property
+    def cleaned(self) -> TileIndex:
+        """The tiles without strays, where these were left out, and with all other points."""
+        return self
+
     def home(self, tile: Tile) -> Path:
         """The folder in which the surface of a tile is at rest."""
         return self.cloud.folder

@@ -86,25 +86,40 @@ class PointsTask:
 
 
 @dataclass(frozen=True)
+class DealtOut:
+    """Points in tiles. index : the tiles, with their hull · hulls : by tile, corners (h, 2) m ·
+    limits : which triangles count · sigma_m : noise of the points, NaN where they are too few to
+    tell · sigma_from : where it comes from, in words
+    """
+
+    index: TileIndex
+    hulls: dict[Tile, F64]
+    limits: Limits
+    sigma_m: float
+    sigma_from: str
+
+
+@dataclass(frozen=True)
 class Triangulated:
     """of : the tiles, with the triangles that count · tiles : what is known of each, in the order
-    of their names · sigma_m : noise of the points, NaN where they are too few to tell · sigma_from
-    : where it comes from, in words · rasters : that tell how far apart the points lie, None where
-    that is not known yet · sampled : whether the sampled area is told from that
+    of their names · points : that they are made of · rasters : that tell how far apart the points
+    lie, None where that is not known yet · sampled : whether the sampled area is told from that ·
+    told : the spacings at all points, as ``tiled_between.told_spacings`` gives them, None where
+    that is not asked yet
     """
 
     of: TiledCloud
     tiles: list[TriangulatedTile]
-    sigma_m: float
-    sigma_from: str
+    points: DealtOut
     rasters: Rasters | None
     sampled: bool
+    told: F64 | None = None
 
     @property
     def size(self) -> SiteSize:
         """The size of the site that the tiles make up."""
         area = math.fsum(t.area_m2 for t in self.tiles)
-        return SiteSize(area, sum(t.vertices for t in self.tiles), self.sigma_m)
+        return SiteSize(area, sum(t.vertices for t in self.tiles), self.points.sigma_m)
 
 
 def triangulated(
@@ -126,18 +141,24 @@ def triangulated(
         noise = index.noise
     elif task.sigma_m is None:
         noise = Cleaner(points, workers, in_points(points, progress)).noise()
-    sigma = sigma_of(task.sigma_m, noise)
     work = EachTile(workers, index, progress)
     ends = work.done(TiledCloud(index, EVERY), sort_tile, "sorted", 16)
     index = dataclasses.replace(index, hull=joined_hull(list(ends.values())))
-    by_area = task.limits.relevant == "sampled"
-    of = TiledCloud(index, EVERY if by_area else task.limits)
-    known = work.done(of, triangulate_tile, "surface", 4)
+    dealt = DealtOut(index, ends, task.limits, *sigma_of(task.sigma_m, noise))
+    return with_surfaces(dealt, workers, progress)
+
+
+def with_surfaces(points: DealtOut, workers: Workers, progress: Progress) -> Triangulated:
+    """Triangulate each tile."""
+    index, limits = points.index, points.limits
+    by_area = limits.relevant == "sampled"
+    of = TiledCloud(index, EVERY if by_area else limits)
+    known = EachTile(workers, index, progress).done(of, triangulate_tile, "surface", 4)
     if not by_area:
-        return Triangulated(of, [known[t] for t in of.tiles], *sigma, None, False)
-    found = AreaFinder(of, workers, ends, in_points(of, progress)).found()
+        return Triangulated(of, [known[t] for t in of.tiles], points, None, False)
+    found = AreaFinder(of, workers, points.hulls, in_points(of, progress)).found()
     tiles = ask(workers, found.of, triangulate_tile)
-    return Triangulated(found.of, tiles, *sigma, found.rasters, found.told)
+    return Triangulated(found.of, tiles, points, found.rasters, found.told)
 
 
 def sigma_of(given_m: float | None, noise: CloudNoise | None) -> tuple[float, str]:

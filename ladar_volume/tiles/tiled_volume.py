@@ -14,6 +14,8 @@ import numpy as np
 
 from ladar_volume.clouds.between_points import BetweenPoints
 from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, with_noise
+from ladar_volume.clouds.sampling.cloud_objects import is_nearly_all
+from ladar_volume.clouds.sampling.object_search import Objects
 from ladar_volume.clouds.sampling.site_lengths import site_lengths
 from ladar_volume.ground.heights import height_above
 from ladar_volume.ground.polynomial import design_surface
@@ -25,6 +27,7 @@ from ladar_volume.tiles import tile_volume
 from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
 from ladar_volume.tiles.cleaning.tiled_effect import tiled_effect
 from ladar_volume.tiles.readings.tiled_readings import Around
+from ladar_volume.tiles.standing.cleared_tiles import ClearedTiles, cleared_tiles
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
@@ -35,11 +38,7 @@ from ladar_volume.tiles.tile_volume import Above, Beside, Squares, TileSums
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.tiles.tiled_outline import OutlineFinder
-from ladar_volume.tiles.tiled_points import (
-    PointsTask,
-    Progress,
-    triangulated,
-)
+from ladar_volume.tiles.tiled_points import PointsTask, Progress, Triangulated, triangulated
 from ladar_volume.tiles.unseen.tiled_judgement import Sought, judged
 from ladar_volume.uncertainty.ground_field import (
     Roughness,
@@ -58,7 +57,7 @@ class TiledVolume:
     base : what is below · index : the tiles · sums : of each, in the order of their names · sigma_m
     : of the heights · sigma_from : where that comes from, in words · parameters : with the lengths
     that fit the site · stray_effect_m3 : what the strays that were left out would change, None for
-    none
+    none · objects : that stood on the surface, the largest first
     """
 
     volume: CloudVolume
@@ -71,6 +70,7 @@ class TiledVolume:
     parameters: Parameters
     doubts: tuple[Doubt, ...] = ()
     stray_effect_m3: float | None = None
+    objects: Objects = ()
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,8 @@ class VolumeTask:
     heights; None for what the points tell · correct : whether cut
     and fill are corrected near the base · between : whether what lies between the points is told,
     where all triangles count · named : lengths of base and outline that stay, the others
-    follow the site; None for all as given · clean : whether stray points are left out
+    follow the site; None for all as given · clean : whether stray points are left out, and what
+    stands on the surface where the parameters say so
     """
 
     limits: Limits
@@ -89,6 +90,12 @@ class VolumeTask:
     between: bool = True
     named: Collection[str] | None = None
     clean: bool = False
+
+    def fitted(self, made: Triangulated) -> Parameters:
+        """The parameters, with lengths that go with the site."""
+        if self.named is None:
+            return self.parameters
+        return site_lengths(self.parameters, made.size, self.named)
 
 
 def volume_by_tiles(
@@ -102,33 +109,59 @@ def volume_by_tiles(
     inside the outline.
     """
     points = PointsTask(task.limits, task.sigma_m, task.clean)
-    made, parameters = triangulated(cloud, points, workers, progress), task.parameters
-    of, sigma = made.of, made.sigma_m
-    if task.named is not None:
-        parameters = site_lengths(parameters, made.size, task.named)
-    fitter, v, around, folder = GroundFitter(of, workers, sigma), parameters.volume, None, None
-    if v.base == "ground":
-        around = around_ground(fitter, parameters, [t.reach for t in made.tiles])
-        base, folder = around.found.fit.plane, around.found.folder
-    else:
-        base = design_surface([v.level_m] if v.base == "level" else list(v.plane))
+    made = triangulated(cloud, points, workers, progress)
+    cleared = ClearedTiles(made)
+    if task.clean and task.parameters.volume.objects == "remove":
+        fitted = task.fitted(made)
+        cleared = cleared_tiles(made, fitted, workers, progress)
+        if cleared.objects and nearly_all_above(cleared, fitted, workers):
+            cleared = ClearedTiles(made)
+    made, parameters = cleared.made, task.fitted(cleared.made)
+    of, sigma = made.of, made.points.sigma_m
+    fitter = GroundFitter(of, workers, sigma)
+    around, base, folder = base_of(fitter, made, parameters)
     near = near_folder(of, base, folder, sigma) if task.correct else None
     asked = Above(base, folder, sigma, near)
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
     fit = None if around is None else around.found.fit
     volume = VolumeAbove(fitter, fit, asked, sums).volume(base_name(parameters))
-    every, effect = of.index.every_point, None
+    every, effect = of.index.cleaned, None
     if isinstance(every, CleanedTiles) and every.strays:
         effect = tiled_effect(workers, of, folder, base)
-    found = TiledVolume(
-        volume, None, base, of.index, sums, sigma, made.sigma_from, parameters, (), effect
-    )
+    facts = sigma, made.points.sigma_from, parameters, (), effect, cleared.objects
+    found = TiledVolume(volume, None, base, of.index, sums, *facts)
     if not (task.between and math.isfinite(volume.sigma_m3)):
         return found
-    objects = task.clean and v.objects == "remove"
-    sought = Sought(fitter, folder, base, made.rasters, made.sampled, objects)
-    volume, between, doubts = judged(volume, sought, v, around)
+    sought = Sought(fitter, folder, base, cleared)
+    volume, between, doubts = judged(volume, sought, parameters, around)
     return dataclasses.replace(found, volume=volume, between=between, doubts=tuple(doubts))
+
+
+def base_of(
+    fitter: GroundFitter, made: Triangulated, parameters: Parameters
+) -> tuple[Around | None, Plane, Path | None]:
+    """The base, where the triangles inside the outline are at rest, None for all; and who asks
+    about both, None above a given base.
+    """
+    v = parameters.volume
+    if v.base != "ground":
+        given = [v.level_m] if v.base == "level" else list(v.plane)
+        return None, design_surface(given), None
+    around = around_ground(fitter, parameters, [t.reach for t in made.tiles])
+    return around, around.found.fit.plane, around.found.folder
+
+
+def nearly_all_above(cleared: ClearedTiles, parameters: Parameters, workers: Workers) -> bool:
+    """Whether what was taken out is nearly all that rose above the base, and may be what is
+    measured: not where a body was looked for.
+    """
+    v, of = parameters.volume, cleared.made.of
+    if v.base == "ground" and v.outline == "auto":
+        return False
+    _, base, folder = base_of(GroundFitter(of, workers, 0.0), cleared.made, parameters)
+    asked = Above(base, folder, 0.0)
+    sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
+    return is_nearly_all(cleared.objects, math.fsum(s.cut_m3 for s in sums))
 
 
 def around_ground(fitter: GroundFitter, parameters: Parameters, reach: Sequence[Box]) -> Around:

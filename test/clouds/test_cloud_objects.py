@@ -178,7 +178,7 @@ def test_places_beside_cells_as_by_comparison(seed):
     low = there.min(axis=0)
     one, two = np.floor((xy - low) / cell), np.floor((there - low) / cell)
     near = (np.abs(one[:, None] - two[None]) <= 1.0).all(axis=2).any(axis=1)
-    np.testing.assert_array_equal(beside(xy, there, cell), np.flatnonzero(near))
+    np.testing.assert_array_equal(beside(xy, there, cell, there.min(axis=0)), np.flatnonzero(near))
 
 
 def truck_on(xy, z, at=(8.0, 8.0)):

@@ -17,14 +17,15 @@ from whole_and_tiles import (
 
 from ladar_volume.cli.main import main
 from ladar_volume.clouds.cloud_noise import thin_by_cells
+from ladar_volume.clouds.sampling.object_search import ObjectSearch
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.pointfiles.crs import Reading
+from ladar_volume.model.parameters import Parameters, VolumeParameters
+from ladar_volume.tiles.standing.tiled_steps import highest_step, step_doubts
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tile_work import OwnProcess
-from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_points import PointsTask, triangulated
-from ladar_volume.tiles.unseen.tiled_steps import highest_step, step_doubts
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.field_checks.standing_objects import STEEP
 
@@ -127,7 +128,9 @@ def test_steps_are_those_of_the_thinned_points_of_all_tiles(spacing, tmp_path):
     parts = parts_of_file(path, tmp_path / "s", 11.0, Reading(), 3000)
     asked = PointsTask(EVERY, 0.02, False)
     made = triangulated(parts, asked, OwnProcess(), lambda stage, total, done: None)
-    (found,) = step_doubts(GroundFitter(made.of, OwnProcess(), 0.02), None, 0.15, spacing)
+    volume = VolumeParameters(object_height_m=0.15)
+    how = ObjectSearch(0.02, spacing, Parameters(volume=volume))
+    (found,) = step_doubts(OwnProcess(), made.of, how, None)
     points, rows = read_cloud(path).r, slice(None)
     if spacing < 0.25:
         extent = points[:, :2].min(axis=0), points[:, :2].max(axis=0)

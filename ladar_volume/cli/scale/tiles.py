@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,7 @@ from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.sampling.site_lengths import length_facts, named_lengths
 from ladar_volume.clouds.volume_verdict import stray_doubts
-from ladar_volume.io.results import json_text
+from ladar_volume.io.results import MOST_OBJECTS, json_text
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.verdict import Doubt, Verdict
@@ -120,7 +121,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
         "outline_parts": [],
         "surfaces": [],
         "clean": clean_facts(found, a),
-        "objects": [],
+        "objects": [dataclasses.asdict(one) for one in found.objects[:MOST_OBJECTS]],
         "tiles": {
             "side_m": index.cloud.tile_m,
             "count": len(sums),
@@ -141,7 +142,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
 
 def clean_facts(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     """How many points were left out as strays, and what these would change, m³."""
-    every, effect = found.index.every_point, found.stray_effect_m3
+    every, effect = found.index.cleaned, found.stray_effect_m3
     strays = every.strays if isinstance(every, CleanedTiles) else 0
     points = sum(every.count.values()) + strays
     return {"how": a.clean, "strays": strays, "share": strays / points, "effect_m3": effect}

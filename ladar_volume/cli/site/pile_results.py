@@ -16,7 +16,7 @@ import numpy as np
 from ladar_volume.cli.inputs.reading import Source
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.sampling.objects_beside import beside_doubts
+from ladar_volume.clouds.sampling.objects_beside import beside_doubts, objects_within
 from ladar_volume.io.results import finite
 from ladar_volume.io.site.height_budget import read_budget, read_height_errors
 from ladar_volume.io.site.outline_files import Outlines, read_outlines
@@ -140,7 +140,8 @@ def pile_volumes(
         return found
     inside = np.sum([pile.inside_m2 for pile in found.piles], axis=0)
     least, size = parameters.volume.min_body_m3, min(p.volume.net_m3 for p in found.piles)
-    beside = beside_doubts(surfaces[0], inside, (least, size))
+    objects, within = surfaces[0].objects, objects_within(surfaces[0], inside)
+    beside = beside_doubts(objects, within, (least, size))
     return dataclasses.replace(found, verdict=found.verdict + Verdict(tuple(beside)))
 
 

@@ -5,6 +5,7 @@ what is beside it.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from ladar_volume.model.verdict import Doubt
 
 #: Things beside the body that are this share of it may be heaps.
 LARGE = 0.2
+#: A thing is of an outline that comes as near to its middle as this share of its size.
+REACH = 0.5
 
 
 def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, ...]:
@@ -25,23 +28,23 @@ def objects_within(surface: CloudSurface, inside: F64) -> tuple[StandingObject, 
     out = []
     for one in surface.objects:
         away = np.hypot(*(middle - (one.x_m, one.y_m)).T).min(initial=np.inf)
-        if away <= 0.5 * one.size_m:
+        if away <= REACH * one.size_m:
             out.append(dataclasses.replace(one, inside=True))
     return tuple(out)
 
 
-def beside_doubts(surface: CloudSurface, inside: F64, sizes_m3: tuple[float, float]) -> list[Doubt]:
-    """What stands beside an outline, inside (m,) m² of each triangle, and is as large as a further
-    body and a good part of the volume, is not in it: an upright heap looks like a machine. sizes_m3
-    : of the least further body, and of what counts
+def beside_doubts(
+    objects: Sequence[StandingObject],
+    within: Sequence[StandingObject],
+    sizes_m3: tuple[float, float],
+) -> list[Doubt]:
+    """What stands beside an outline, not ``within`` it, and is as large as a further body and a
+    good part of the volume, is not in it: an upright heap looks like a machine. sizes_m3 : of the
+    least further body, and of what counts
     """
     least_m3 = max(sizes_m3[0], LARGE * abs(sizes_m3[1]))
-    own = {(one.x_m, one.y_m) for one in objects_within(surface, inside)}
-    away = [
-        one
-        for one in surface.objects
-        if (one.x_m, one.y_m) not in own and one.volume_m3 >= least_m3
-    ]
+    own = {(one.x_m, one.y_m) for one in within}
+    away = [one for one in objects if (one.x_m, one.y_m) not in own and one.volume_m3 >= least_m3]
     if not away:
         return []
     one = max(away, key=lambda each: each.volume_m3)

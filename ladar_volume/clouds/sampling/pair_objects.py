@@ -18,13 +18,12 @@ import numpy as np
 from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.sampling.cloud_objects import (
-    HIGHER,
     NEARLY_ALL,
-    Objects,
     rebuilt,
     step_of,
     what_stays,
 )
+from ladar_volume.clouds.sampling.object_search import HIGHER, Objects
 from ladar_volume.math.nearest import nearest_distances, nearest_index
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin

@@ -52,7 +52,7 @@ def tiled_effect(workers: Workers, of: TiledCloud, outline: Path | None, base: P
 
 def strays_over(of: TiledCloud, tile: Tile, folder: Path) -> Box | None:
     """The strays over the triangles of a tile that count, at rest; returns their box."""
-    index = of.index.every_point
+    index = of.index.cleaned
     assert isinstance(index, CleanedTiles)
     strays = strays_in(index, reach(of, tile))
     if len(strays):

@@ -20,7 +20,7 @@ from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.readings.tile_outside import Region
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import near_stored_places
-from ladar_volume.tiles.tile_patch import joined, part_round, rows_at
+from ladar_volume.tiles.tile_patch import inside_of, joined, part_round, rows_at
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import surface_of
 from ladar_volume.tin.full_tin import footprint_areas, places_in, vertex_mask
@@ -49,7 +49,7 @@ def body_and_around(of: TiledCloud, tile: Tile, region: Region, beside: Sequence
 @dataclass(frozen=True)
 class BodyTask:
     """region : ground and outline · tiles : with some of the body · parameters · sigma_m3 : of its
-    volume · size_m3 : that · scatter_m : of its points
+    volume · size_m3 : that · scatter_m : of its points · objects : doubts about what stood on it
     """
 
     region: Region
@@ -58,6 +58,7 @@ class BodyTask:
     sigma_m3: float
     size_m3: float
     scatter_m: float
+    objects: Sequence[Doubt]
 
 
 class JudgedBody(NamedTuple):
@@ -67,16 +68,16 @@ class JudgedBody(NamedTuple):
     lines: dict[str, float]
 
 
-def gathered(of: TiledCloud, region: Region, tiles: Sequence[Tile]) -> tuple[Tin, Bool]:
-    """The triangles of tiles that meet a vertex of the body or beside it, the vertices in the order
-    of the file, and which triangles lie inside the outline (m,).
+def gathered(of: TiledCloud, region: Region | None, tiles: Sequence[Tile]) -> tuple[Tin, Bool]:
+    """The triangles of tiles that meet a vertex of the body or beside it, all for no region, the
+    vertices in the order of the file, and which triangles lie inside the outline (m,).
     """
-    assert region.outline is not None
     parts, xy, rows = [], [], []
     for tile in tiles:
         s = surface_of(of.index, of.limits, tile)
-        marked = read(region.rest, "body_around", tile)
-        parts.append(part_round(s, read(region.outline, "inside", tile), marked))
+        marked = s.own if region is None else read(region.rest, "body_around", tile)
+        inside = inside_of(s, tile, None if region is None else region.outline)
+        parts.append(part_round(s, inside, marked))
         xy.append(s.tin.vertices[s.own])
         rows.append(s.row[s.own])
     patch, _ = joined(parts)
@@ -105,5 +106,6 @@ def judged_body(of: TiledCloud, task: BodyTask) -> JudgedBody:
     doubts = cut_doubts(tin, base, inside, task.sigma_m3, task.parameters)
     if not stands_on_faces(tin, base, inside, v.object_height_m):
         doubts += wall_doubts(tin, base, inside, faces, v.object_height_m)
-    lines = missing_lines(task.size_m3, tin, base, (area, faces), doubts, task.parameters)
+    every = [*task.objects, *doubts]
+    lines = missing_lines(task.size_m3, tin, base, (area, faces), every, task.parameters)
     return JudgedBody(doubts, lines)

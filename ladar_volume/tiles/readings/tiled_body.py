@@ -5,6 +5,7 @@ stands beside it, the sides on which there is no ground, and what grows on that.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from ladar_volume.tiles.readings.tile_body import BodyTask, JudgedBody, judged_b
 from ladar_volume.tiles.readings.tiled_readings import Around
 from ladar_volume.tiles.tile_batches import ask
 from ladar_volume.tiles.tile_work import each_result
+from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels
 from ladar_volume.tiles.unseen.tiled_layers import near_places
 from ladar_volume.volume.field_checks.completeness import further_doubts, one_sided_doubts
@@ -62,9 +64,16 @@ def with_edge(volume: CloudVolume, edge: Edge) -> CloudVolume:
     return with_lines(volume, {"toe": edge.toe_m3**2}) if edge.toe_m3**2 > 0.0 else volume
 
 
-def completeness(around: Around, volume: CloudVolume, scatter_m: float, centre: F64) -> JudgedBody:
+def completeness(
+    around: Around,
+    volume: CloudVolume,
+    scatter_m: float,
+    centre: F64,
+    objects: Sequence[Doubt],
+) -> JudgedBody:
     """Whether the body is cut, whether walls or further bodies stand by, and whether the ground is
-    on one side only. scatter_m : of its points · centre : (2,) m, of its vertices
+    on one side only. scatter_m : of its points · centre : (2,) m, of its vertices · objects :
+    doubts about what stood on it
     """
     v, judged = around.finder.parameters.volume, JudgedBody([], {})
     boxes = around.found.boxes
@@ -83,7 +92,8 @@ def completeness(around: Around, volume: CloudVolume, scatter_m: float, centre: 
         size = abs(volume.cut_m3 - volume.fill_m3)
         scatter = 0.0 if math.isnan(scatter_m) else scatter_m
         parameters = around.finder.parameters
-        task = BodyTask(around.region, tiles, parameters, volume.sigma_m3, size, scatter)
+        sizes = volume.sigma_m3, size, scatter
+        task = BodyTask(around.region, tiles, parameters, *sizes, objects)
         (judged,) = each_result(around.fitter.workers, partial(judged_body, of), [task])
     further = [] if v.bodies == 0 else further_bodies(around, v, volume.sigma_m3)
     return JudgedBody([*judged.doubts, *further, *one_sided(around, centre)], judged.lines)
@@ -129,7 +139,9 @@ def body_scatter(around: Around, rise_m: float) -> Scatter:
     count, centre = int(facts[0]), facts[1:] / max(facts[0], 1.0)
     if count < FEWEST:
         return Scatter(centre, math.nan)
-    return Scatter(centre, robust_sigma(scatter_at(around, around.some(name, count, MOST)), 0.0))
+    return Scatter(
+        centre, robust_sigma(scatter_at(around.fitter, around.some(name, count, MOST)), 0.0)
+    )
 
 
 def with_growth(
@@ -141,14 +153,14 @@ def with_growth(
         return volume, []
     step = max(1, math.ceil(n / MOST))
     low = around.fitter.at_ranks(around.region.chosen, n, step)[:, 1:4]
-    off = scatter_at(around, low)
+    off = scatter_at(around.fitter, low)
     grown = growth_by_sectors(low[:, :2] - body.centre, off, body.scatter_m)
     return with_growth_of(volume, grown)
 
 
-def scatter_at(around: Around, places: F64) -> F64:
+def scatter_at(fitter: GroundFitter, places: F64) -> F64:
     """What local quadrics miss points (k, 3) m by, m."""
-    near, own, order = near_places(around.fitter, places)
+    near, own, order = near_places(fitter, places)
     out = np.empty(len(places))
     out[order] = fit_residuals(own, near, np.arange(len(own)))[0]
     return np.where(np.isfinite(out), out, 0.0)

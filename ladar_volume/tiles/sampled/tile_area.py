@@ -15,6 +15,7 @@ from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.array_file import read, write, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import TileParts, parts_of
+from ladar_volume.tiles.tile_patch import names_of
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import (
     COUNTS,
@@ -27,7 +28,7 @@ from ladar_volume.tiles.tile_surface import (
 )
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tin.boundary import parts_kernel
-from ladar_volume.tin.full_tin import any_corner, footprint_areas
+from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.sampled_area import ALONE, FEWEST, Corners, open_parts, wide_kernel
 
 #: Triangles count where points were sampled.
@@ -121,32 +122,21 @@ def counted_area(of: TiledCloud, tile: Tile, task: AreaTask, kept: Bool) -> int:
     return int(np.count_nonzero(~counts[2]))
 
 
-class AloneTile(NamedTuple):
-    """places : (k, 2) m, of a tile's points that stand alone · changed : tiles whose surface is
-    another without them
-    """
-
-    places: F64
-    changed: frozenset[Tile]
-
-
-def alone_points(of: TiledCloud, tile: Tile, task: AreaTask) -> AloneTile:
-    """The points of a tile that stand alone outside the sampled area."""
+def alone_points(of: TiledCloud, tile: Tile, task: AreaTask) -> I64:
+    """The rows (k,) of the points of a tile that stand alone outside the sampled area."""
     surface = surface_of(of.index, SAMPLED, tile)
     tin = surface.tin
     rest = np.flatnonzero(surface.own & ~surface.used)
     if not len(rest):
-        return AloneTile(np.zeros((0, 2)), frozenset())
+        return np.zeros(0, np.int64)
     xy = tin.vertices[rest, :2]
     far, spacing = nearest_used(of, task, xy)
     rest = rest[far > ALONE * spacing]
-    mine = np.zeros(len(tin.vertices), np.bool_)
-    mine[rest] = True
-    around = np.unique(tin.triangles[any_corner(tin.triangles, mine)])
-    cells = np.floor(tin.vertices[around, :2] / of.index.cloud.tile_m).astype(np.int64)
-    changed = {(i, j) for i, j in np.unique(cells, axis=0).tolist()}
-    places = np.ascontiguousarray(tin.vertices[rest, :2])
-    return AloneTile(places, frozenset(changed | {tile} if len(rest) else ()))
+    if not len(rest):
+        return np.zeros(0, np.int64)
+    there = names_of(of.index.points(tile) + 0.0)  # -0 is 0
+    alone = np.isin(there, names_of(tin.vertices[rest] + 0.0))
+    return of.index.rows(tile)[alone]
 
 
 def nearest_used(of: TiledCloud, task: AreaTask, xy: F64) -> tuple[F64, F64]:

@@ -11,12 +11,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from ladar_volume.model.records import F64, Bool
+from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.sampled import tile_area
 from ladar_volume.tiles.sampled.tile_area import SAMPLED, AreaTask, OpenTile, SmallParts
-from ladar_volume.tiles.sampled.without_alone import without_alone
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
-from ladar_volume.tiles.tile_places import hull_of_places, joined_hull
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import EVERY, surface_folder
 from ladar_volume.tiles.tile_work import Workers
@@ -24,6 +22,7 @@ from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tiles.unseen.tiled_between import filled_rasters
+from ladar_volume.tiles.without_points import without_points
 from ladar_volume.tin.sampled_area import FEWEST, PASSES, deep_parts
 
 R = TypeVar("R")
@@ -78,20 +77,15 @@ class AreaFinder:
         if passes == 0 or not any(rest):
             return SampledCloud(counted, rasters, True)
         found = self._each("alone", tile_area.alone_points, [(task,)] * n)
-        if not any(len(f.places) for f in found):
+        if not any(map(len, found)):
             return SampledCloud(counted, rasters, True)
-        return self._without(dict(zip(self.of.tiles, found, strict=True))).found(passes - 1)
+        return self._without(found).found(passes - 1)
 
-    def _without(self, found: dict[Tile, tile_area.AloneTile]) -> AreaFinder:
+    def _without(self, alone: Sequence[I64]) -> AreaFinder:
         """The same of the tiles without the points that stand alone, triangulated."""
-        before = self.of.index
-        index = without_alone(before, before.cloud.folder / "without_alone", found)
-        hulls = {t: hull for t, hull in self.hulls.items() if t in index.count}
-        for tile in index.alone:
-            if tile in index.count:
-                hulls[tile] = hull_of_places(index.places(tile)[:, :2])
-        index = dataclasses.replace(index, hull=joined_hull(list(hulls.values())))
-        finder = AreaFinder(TiledCloud(index, EVERY), self.workers, hulls, self.progress)
+        left = without_points(self.workers, self.of, alone, "without_alone", self.hulls, alone=True)
+        of = TiledCloud(left.index, EVERY)
+        finder = AreaFinder(of, self.workers, left.hulls, self.progress)
         every: list[tuple[object, ...]] = [()] * len(finder.of.tiles)
         finder._each("surface", tile_area.with_surface, every)
         return finder

@@ -1,0 +1,188 @@
+"""Points of a cloud that stand on its surface, found among points that lie in one process or in
+tiles.
+
+A dense cloud has points on the faces of a thing, so that no single edge is a step: it is thinned
+for the search to one point a cell as wide as a step is high. What the thinned surface shows is then
+looked up in the whole: points beside such a part, and well above the surface that is left.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
+from ladar_volume.tin.full_tin import build_tin, vertex_mask
+from ladar_volume.tin.sampled_area import sampled_without_isolated
+from ladar_volume.volume.field_checks.standing_objects import (
+    APART_M,
+    STEEP,
+    any_step,
+    clumps,
+    objects_of,
+    rise_above,
+)
+
+Objects = tuple[StandingObject, ...]
+#: Steps are so many times as high as the least body, and than so many standard deviations of one
+#: height.
+STEP, CLEAR = 5.0 / 3.0, 8.0
+#: Points beside a part that stands are of it where they are above the surface that is left by this
+#: share of a step.
+HIGHER = 0.5
+#: Edges that join reach over so many spacings.
+REACH = 4.0
+#: Points nearer than so many spacings are of one thing; the surface around it reaches over so many
+#: of these distances.
+APART, AROUND = 2.0, 4.0
+#: Rounds: what leans on a thing is seen when that is gone.
+ROUNDS = 3
+
+
+class Located(NamedTuple):
+    """Some points of a cloud: their rows (k,), ascending, and where they are, (k, 3) m."""
+
+    rows: I64
+    places: F64
+
+
+class SitePoints(Protocol):
+    """The points of a cloud."""
+
+    def thinned(self, cell_m: float) -> Located:
+        """The nearest to the middle of each square cell; all for a cell of 0."""
+        ...
+
+    def beside(self, there: F64, cell_m: float) -> Located:
+        """Those in or beside the cells that places ``there`` (m, 2) m lie in."""
+        ...
+
+    def without(self, things: Located) -> Self:
+        """The others."""
+        ...
+
+
+P = TypeVar("P", bound=SitePoints)
+#: Vertices (n,) of a thinned surface that stand on it, and triangles (m,) that count, for a noise
+#: of its heights, parameters and the height of a step, m.
+Find = Callable[[Tin, float, Parameters, float], tuple[Bool, Bool]]
+
+
+class Coarse(NamedTuple):
+    """A surface that was thinned, its vertices (n,) that stand on it, and triangles (m,) that
+    count.
+    """
+
+    tin: Tin
+    standing: Bool
+    inside: Bool
+
+
+@dataclass(frozen=True)
+class ObjectSearch:
+    """How what stands on a surface is searched for. sigma_m : of one height · spacing_m : of the
+    points, in the median · parameters : of the surface
+    """
+
+    sigma_m: float
+    spacing_m: float
+    parameters: Parameters
+
+    @property
+    def step_m(self) -> float:
+        """How high a step is, m."""
+        return step_height(self.parameters.volume.object_height_m, self.sigma_m)
+
+    @property
+    def thinned_m(self) -> float:
+        """The cells, m, to one point of which the cloud is thinned: 0 where its points lie farther
+        apart.
+        """
+        return self.step_m if self.spacing_m < self.step_m else 0.0
+
+    @property
+    def with_reach(self) -> Parameters:
+        """The parameters, where edges join over some spacings at least."""
+        volume = self.parameters.volume
+        longest = max(volume.max_edge_m, REACH * self.spacing_m)
+        return dataclasses.replace(
+            self.parameters, volume=dataclasses.replace(volume, max_edge_m=longest)
+        )
+
+
+@dataclass(frozen=True)
+class Found(Generic[P]):
+    """points : that belong to the surface · objects : that the others are of, the largest first"""
+
+    points: P
+    objects: Objects
+
+
+def step_height(object_height_m: float, sigma_m: float) -> float:
+    """How high a step is, m, for the least rise of a body and the noise of one height."""
+    return max(STEP * object_height_m, CLEAR * sigma_m)
+
+
+def thinned_tin(points: Located) -> Tin:
+    """The surface of points without those that stand alone; ``source`` has their rows."""
+    tin, _ = sampled_without_isolated(build_tin(points.places))
+    return dataclasses.replace(tin, source=points.rows[tin.source])
+
+
+def standing_points(points: SitePoints, tin: Tin, standing: Bool, how: ObjectSearch) -> Located:
+    """The points that belong to the vertices ``standing`` (n,) of a thinned surface: those
+    themselves, and what is beside them and above the surface of the others.
+    """
+    near = points.beside(tin.vertices[standing, :2], max(how.step_m, how.spacing_m))
+    high = rise_above(near.places, tin.vertices[~standing]) > HIGHER * how.step_m
+    rows = np.concatenate([tin.source[standing], near.rows[high]])
+    places = np.concatenate([tin.vertices[standing], near.places[high]])
+    rows, first = np.unique(rows, return_index=True)
+    return Located(rows.astype(np.int64), places[first])
+
+
+def objects_of_points(
+    points: SitePoints, taken: Located, coarse: Coarse, spacing_m: float
+) -> Objects:
+    """What the points ``taken`` were of, above all others around; on the thinned surface where the
+    points around are too few for one.
+    """
+    thin, standing, inside = coarse
+    apart = max(APART_M, APART * spacing_m)
+    label, mask = clumps(thin.vertices[standing, :2], apart), vertex_mask(thin, inside)
+    try:
+        tin = thinned_tin(points.beside(taken.places[:, :2], AROUND * apart))
+    except SurfaceError:
+        return objects_of(thin, standing, standing, mask, label)
+    own, counted = np.isin(tin.source, taken.rows), np.isin(tin.source, thin.source[mask])
+    if not own.any():
+        return objects_of(thin, standing, standing, mask, label)
+    # dense points have too many neighbours for pairs of them
+    near = cKDTree(thin.vertices[standing, :2]).query(tin.vertices[own, :2])[1]
+    return objects_of(tin, own, own, counted, label[near])
+
+
+def searched(points: P, how: ObjectSearch, find: Find) -> Found[P]:
+    """The points that belong to a surface, and what stands on it."""
+    found, parameters = list[StandingObject](), how.with_reach
+    for _ in range(ROUNDS):
+        try:
+            tin = thinned_tin(points.thinned(how.thinned_m))
+            if not any_step(tin.triangles, tin.vertices, how.step_m, STEEP):
+                break
+            standing, inside = find(tin, how.sigma_m, parameters, how.step_m)
+        except (GroundError, SurfaceError, VolumeError):  # no ground: the volume will say so
+            break
+        if not standing.any():
+            break
+        taken = standing_points(points, tin, standing, how)
+        found += objects_of_points(points, taken, Coarse(tin, standing, inside), how.spacing_m)
+        points = points.without(taken)
+    return Found(points, tuple(sorted(found, key=lambda one: -one.volume_m3)))
