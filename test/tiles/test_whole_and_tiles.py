@@ -104,23 +104,6 @@ def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):
     assert differences(whole, tiled) == []
 
 
-def test_what_may_stand_on_the_surface_is_doubtful(tmp_path, capsys):
-    rng = np.random.default_rng(7)
-    p = site(scattered, "box", 9000, rng)
-    machine = (np.abs(p[:, 0] - 1033) < 1.5) & (np.abs(p[:, 1] + 476) < 1.0)
-    p[machine, 2] += 2.5
-    path = write(tmp_path / "cloud.laz", p, rng)
-    words = ["--base", "ground", "--tile", "25", "--store", str(tmp_path / "s")]
-    whole, tiled = volume(capsys, path, "--base", "ground"), volume(capsys, path, *words)
-    assert whole["objects"] and tiled["net_m3"] > whole["net_m3"] + 5.0  # it is counted by tiles
-    (said,) = [r["text"] for r in tiled["verdict"]["reasons"] if r["name"] == "tiles_not_judged"]
-    assert "steps above 0.25 m, the highest of 3." in said and "about (103" in said
-    count = ["--set", "volume.objects=count"]
-    whole = volume(capsys, path, "--base", "ground", *count)
-    tiled = volume(capsys, path, *words, *count)
-    assert differences(whole, tiled) == []
-
-
 @pytest.mark.parametrize("spacing", [0.1, 0.5])
 def test_steps_are_those_of_the_thinned_points_of_all_tiles(spacing, tmp_path):
     rng = np.random.default_rng(8)
