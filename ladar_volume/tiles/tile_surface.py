@@ -36,8 +36,8 @@ class Limits:
     max_circumdiameter_m: float = math.inf
 
 
-#: All triangles count.
-EVERY = Limits()
+#: All triangles count; those where points were sampled.
+EVERY, SAMPLED = Limits(), Limits("sampled")
 
 
 @dataclass(frozen=True)

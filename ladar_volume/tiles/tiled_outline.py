@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.model.errors import GroundError, VolumeError
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import I64, Bool, Plane
 from ladar_volume.tiles import tile_outline
 from ladar_volume.tiles.tile_batches import ask
@@ -129,19 +129,7 @@ class OutlineFinder:
 
     def _bodies(self, rising: Sequence[TileParts]) -> list[Bool]:
         """Which parts (count,) of each tile belong to the bodies."""
-        p = self.parameters.volume
-        label = part_labels(rising)
-        if not len(label):
-            raise VolumeError(
-                f"nothing rises more than {p.object_height_m:g} m above the base",
-                reason="volume_no_body",
-                value=p.object_height_m,
-            )
-        total = np.bincount(label, np.concatenate([each.total for each in rising]))
-        order = np.argsort(-total, kind="stable")
-        kept = [k for n, k in enumerate(order) if n == 0 or total[k] >= max(p.min_body_m3, 1e-300)]
-        chosen = np.isin(label, kept[: p.bodies] if p.bodies else kept)
-        return np.split(chosen, np.cumsum([each.count for each in rising])[:-1])
+        return [body >= 0 for body in bodies_in_order(rising, self.parameters.volume)]
 
     def beside(self, boxes: Sequence[Box | None], distance_m: float) -> list[list[Tile]]:
         """For each tile those with something in a box that its triangles may reach."""
@@ -162,6 +150,26 @@ class OutlineFinder:
         ring_m = self.parameters.volume.ground_ring_m
         beside = self.beside(boxes, ring_m)
         self._ask(tile_outline.ring_vertices, [(folder, some, ring_m) for some in beside])
+
+
+def bodies_in_order(rising: Sequence[TileParts], p: VolumeParameters) -> list[I64]:
+    """Which body each part (count,) of each tile belongs to, the largest being 0; -1 for none of
+    those that count. Raises :class:`VolumeError` where nothing rises.
+    """
+    label = part_labels(rising)
+    if not len(label):
+        raise VolumeError(
+            f"nothing rises more than {p.object_height_m:g} m above the base",
+            reason="volume_no_body",
+            value=p.object_height_m,
+        )
+    total = np.bincount(label, np.concatenate([each.total for each in rising]))
+    order = np.argsort(-total, kind="stable")
+    kept = [k for n, k in enumerate(order) if n == 0 or total[k] >= max(p.min_body_m3, 1e-300)]
+    kept = kept[: p.bodies] if p.bodies else kept
+    body = np.full(len(total), -1, np.int64)
+    body[kept] = np.arange(len(kept))
+    return np.split(body[label], np.cumsum([each.count for each in rising])[:-1])
 
 
 def part_labels(parts: Sequence[TileParts]) -> I64:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,26 +18,23 @@ from ladar_volume.clouds.sampling.cloud_objects import is_nearly_all
 from ladar_volume.clouds.sampling.object_search import Objects
 from ladar_volume.clouds.sampling.site_lengths import site_lengths
 from ladar_volume.ground.heights import height_above
-from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.errors import SurfaceError, VolumeError
+from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles import tile_volume
 from ladar_volume.tiles.cleaning.cleaned_tiles import CleanedTiles
 from ladar_volume.tiles.cleaning.tiled_effect import tiled_effect
-from ladar_volume.tiles.readings.tiled_readings import Around
+from ladar_volume.tiles.readings.tiled_readings import base_of
 from ladar_volume.tiles.standing.cleared_tiles import ClearedTiles, cleared_tiles
 from ladar_volume.tiles.tile_batches import TiledCloud, ask, ask_merged, givers
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_near import whole_fold
-from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_store import CloudParts, TileIndex, digest
 from ladar_volume.tiles.tile_surface import Limits, surface_folder
 from ladar_volume.tiles.tile_volume import Above, Beside, Squares, TileSums
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
-from ladar_volume.tiles.tiled_outline import OutlineFinder
 from ladar_volume.tiles.tiled_points import PointsTask, Progress, Triangulated, triangulated
 from ladar_volume.tiles.unseen.tiled_judgement import Sought, judged
 from ladar_volume.uncertainty.ground_field import (
@@ -119,7 +116,7 @@ def volume_by_tiles(
     made, parameters = cleared.made, task.fitted(cleared.made)
     of, sigma = made.of, made.points.sigma_m
     fitter = GroundFitter(of, workers, sigma)
-    around, base, folder = base_of(fitter, made, parameters)
+    around, base, folder = base_of(fitter, [t.reach for t in made.tiles], parameters)
     near = near_folder(of, base, folder, sigma) if task.correct else None
     asked = Above(base, folder, sigma, near)
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
@@ -137,20 +134,6 @@ def volume_by_tiles(
     return dataclasses.replace(found, volume=volume, between=between, doubts=tuple(doubts))
 
 
-def base_of(
-    fitter: GroundFitter, made: Triangulated, parameters: Parameters
-) -> tuple[Around | None, Plane, Path | None]:
-    """The base, where the triangles inside the outline are at rest, None for all; and who asks
-    about both, None above a given base.
-    """
-    v = parameters.volume
-    if v.base != "ground":
-        given = [v.level_m] if v.base == "level" else list(v.plane)
-        return None, design_surface(given), None
-    around = around_ground(fitter, parameters, [t.reach for t in made.tiles])
-    return around, around.found.fit.plane, around.found.folder
-
-
 def nearly_all_above(cleared: ClearedTiles, parameters: Parameters, workers: Workers) -> bool:
     """Whether what was taken out is nearly all that rose above the base, and may be what is
     measured: not where a body was looked for.
@@ -158,19 +141,11 @@ def nearly_all_above(cleared: ClearedTiles, parameters: Parameters, workers: Wor
     v, of = parameters.volume, cleared.made.of
     if v.base == "ground" and v.outline == "auto":
         return False
-    _, base, folder = base_of(GroundFitter(of, workers, 0.0), cleared.made, parameters)
+    reach = [t.reach for t in cleared.made.tiles]
+    _, base, folder = base_of(GroundFitter(of, workers, 0.0), reach, parameters)
     asked = Above(base, folder, 0.0)
     sums = ask(workers, of, tile_volume.tile_sums, [(asked,)] * len(of.tiles))
     return is_nearly_all(cleared.objects, math.fsum(s.cut_m3 for s in sums))
-
-
-def around_ground(fitter: GroundFitter, parameters: Parameters, reach: Sequence[Box]) -> Around:
-    """Ground and outline of the cloud, and who asks about them; ``reach`` of each tile."""
-    if math.isnan(fitter.sigma_m):
-        words = "the points are too few to estimate their noise: give --sigma"
-        raise SurfaceError(words, reason="surface_too_few_points")
-    finder = OutlineFinder(fitter, parameters, reach)
-    return Around(fitter, finder, finder.found())
 
 
 def near_folder(of: TiledCloud, base: Plane, outline: Path | None, sigma_m: float) -> Path:

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.clouds.sampling.cloud_objects import PointsAtHand
+from ladar_volume.clouds.sampling.cloud_objects import PointsAtHand, ThinTin, standing_in
 from ladar_volume.clouds.sampling.object_search import (
-    Coarse,
     Located,
     objects_of_points,
-    thinned_tin,
+    sampled_tin,
 )
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.field_checks.standing_objects import objects_of
@@ -191,10 +190,10 @@ def test_a_dense_thing_is_measured_in_bounded_memory():
     ground = cloud(9, flat, half=6.0)
     ground = ground[~((ground[:, :2] > -0.1) & (ground[:, :2] < (2.6, 4.1))).all(axis=1)]
     points = np.concatenate([roof, ground])
-    at_hand = PointsAtHand(points, np.arange(len(points)))
-    thin = thinned_tin(at_hand.thinned(0.5))
+    at_hand = PointsAtHand(points, np.arange(len(points)), standing_in)
+    thin = sampled_tin(at_hand.thinned(0.5))
     on_roof = thin.vertices[:, 2] > 1.0
-    coarse = Coarse(thin, on_roof, np.ones(len(thin.triangles), bool))
+    coarse = ThinTin(thin, on_roof, np.ones(len(thin.vertices), bool))
     tracemalloc.start()
     top = np.flatnonzero(points[:, 2] > 1.0)
     (one,) = objects_of_points(at_hand, Located(top, points[top]), coarse, 0.26)

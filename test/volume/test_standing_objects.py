@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from ladar_volume.volume.field_checks.object_removal import mixed_patches
-from ladar_volume.volume.field_checks.standing_objects import Steps, any_step, standing_parts
+from ladar_volume.volume.field_checks.standing_objects import (
+    any_step,
+    between_parts,
+    standing_parts,
+)
 from test.scenes.cone_pile import TRUE_M3, estimated, estimator_of, names, pile
 
 
@@ -62,7 +66,7 @@ def test_a_body_on_steep_faces_is_the_body():
 def test_the_ground_beside_a_pit_is_no_object():
     """Parts: 0 the ground, 1 a pit's floor, 2 a crate on it: the crate lies above all its edges."""
     low, high = np.array([1, 1, 1, 1]), np.array([0, 0, 2, 2])
-    steps = Steps(low, high, np.ones(4), np.arange(3), np.array([500, 60, 5]))
+    steps = between_parts(low, high, np.ones(4, int), np.array([500, 60, 5]))
     assert standing_parts(steps, np.array([True, False, False])).tolist() == [False, False, True]
 
 

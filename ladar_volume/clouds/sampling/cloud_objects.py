@@ -7,7 +7,7 @@ the surface that lie above nearly all of the steep steps around them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Self
@@ -18,10 +18,11 @@ from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import ground_and_outline, solid_within
 from ladar_volume.clouds.sampling.object_search import (
-    Find,
     Located,
     Objects,
     ObjectSearch,
+    Ring,
+    sampled_tin,
     searched,
     step_height,
 )
@@ -43,12 +44,43 @@ from ladar_volume.volume.polygon import areas_inside
 NEARLY_ALL = 0.75
 
 
+#: Vertices (n,) of a thinned surface that stand on it, and triangles (m,) that count, for a noise
+#: of its heights, parameters and the height of a step, m.
+Find = Callable[[Tin, float, Parameters, float], tuple[Bool, Bool]]
+
+
+@dataclass(frozen=True)
+class ThinTin:
+    """A thinned surface, its vertices (n,) that stand on it, and those of triangles that count;
+    ``tin.source`` are the rows of its points.
+    """
+
+    tin: Tin
+    on_it: Bool
+    counted: Bool
+
+    @property
+    def standing(self) -> Located:
+        """The vertices that stand on it."""
+        return Located(self.tin.source[self.on_it], self.tin.vertices[self.on_it])
+
+    def around(self, there: F64, cell_m: float) -> Ring:
+        """The vertices in or beside the cells that places ``there`` (m, 2) m lie in."""
+        r = self.tin.vertices
+        near = beside(r[:, :2], there, cell_m, there.min(axis=0))
+        located = Located(self.tin.source[near], r[near])
+        return Ring(located, self.on_it[near], self.counted[near])
+
+
 @dataclass(frozen=True)
 class PointsAtHand:
-    """Points (n, 3) m, of which those of rows ``kept`` (k,), ascending, are left."""
+    """Points (n, 3) m, of which those of rows ``kept`` (k,), ascending, are left. find : what
+    stands on their thinned surface
+    """
 
     points: F64
     kept: I64
+    find: Find
 
     def thinned(self, cell_m: float) -> Located:
         """The nearest to the middle of each square cell; all for a cell of 0."""
@@ -56,6 +88,14 @@ class PointsAtHand:
         if cell_m > 0.0:
             rows = rows[np.sort(thin_by_cells(self.points[rows], cell_m))]
         return Located(rows, self.points[rows])
+
+    def thin_surface(self, how: ObjectSearch) -> ThinTin | None:
+        """Their surface, thinned; None where nothing stands on it."""
+        tin = sampled_tin(self.thinned(how.thinned_m))
+        if not any_step(tin.triangles, tin.vertices, how.step_m, STEEP):
+            return None
+        standing, inside = self.find(tin, how.sigma_m, how.with_reach, how.step_m)
+        return ThinTin(tin, standing, vertex_mask(tin, inside)) if standing.any() else None
 
     def beside(self, there: F64, cell_m: float) -> Located:
         """Those in or beside the cells that places ``there`` (m, 2) m lie in."""
@@ -165,7 +205,7 @@ def what_stays(surface: CloudSurface, parameters: Parameters, find: Find) -> tup
     how, tin = ObjectSearch(sigma, spacing, parameters), surface.representation.tin
     if not how.thinned_m and not any_step(tin.triangles, tin.vertices, how.step_m, STEEP):
         return every, ()
-    found = searched(PointsAtHand(surface.points, every), how, find)
+    found = searched(PointsAtHand(surface.points, every, find), how)
     return found.points.kept, found.objects
 
 

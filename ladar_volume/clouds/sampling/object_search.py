@@ -9,7 +9,6 @@ looked up in the whole: points beside such a part, and well above the surface th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
@@ -19,12 +18,11 @@ from scipy.spatial import cKDTree
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
-from ladar_volume.tin.full_tin import build_tin, vertex_mask
+from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.sampled_area import sampled_without_isolated
 from ladar_volume.volume.field_checks.standing_objects import (
     APART_M,
-    STEEP,
-    any_step,
+    AROUND_M,
     clumps,
     objects_of,
     rise_above,
@@ -53,36 +51,27 @@ class Located(NamedTuple):
     places: F64
 
 
-class SitePoints(Protocol):
-    """The points of a cloud."""
-
-    def thinned(self, cell_m: float) -> Located:
-        """The nearest to the middle of each square cell; all for a cell of 0."""
-        ...
-
-    def beside(self, there: F64, cell_m: float) -> Located:
-        """Those in or beside the cells that places ``there`` (m, 2) m lie in."""
-        ...
-
-    def without(self, things: Located) -> Self:
-        """The others."""
-        ...
-
-
-P = TypeVar("P", bound=SitePoints)
-#: Vertices (n,) of a thinned surface that stand on it, and triangles (m,) that count, for a noise
-#: of its heights, parameters and the height of a step, m.
-Find = Callable[[Tin, float, Parameters, float], tuple[Bool, Bool]]
-
-
-class Coarse(NamedTuple):
-    """A surface that was thinned, its vertices (n,) that stand on it, and triangles (m,) that
-    count.
+class Ring(NamedTuple):
+    """Vertices (k,) of a thinned surface: where, which of them stand on it, and which are of
+    triangles that count.
     """
 
-    tin: Tin
+    located: Located
     standing: Bool
-    inside: Bool
+    counted: Bool
+
+
+class ThinSurface(Protocol):
+    """A surface that was thinned, with something that stands on it."""
+
+    @property
+    def standing(self) -> Located:
+        """The vertices that stand on it."""
+        ...
+
+    def around(self, there: F64, cell_m: float) -> Ring:
+        """The vertices in or beside the cells that places ``there`` (m, 2) m lie in."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -108,6 +97,11 @@ class ObjectSearch:
         return self.step_m if self.spacing_m < self.step_m else 0.0
 
     @property
+    def beside_m(self) -> float:
+        """The cells, m, in or beside which a thing's points are."""
+        return max(self.step_m, self.spacing_m)
+
+    @property
     def with_reach(self) -> Parameters:
         """The parameters, where edges join over some spacings at least."""
         volume = self.parameters.volume
@@ -115,6 +109,27 @@ class ObjectSearch:
         return dataclasses.replace(
             self.parameters, volume=dataclasses.replace(volume, max_edge_m=longest)
         )
+
+
+class SitePoints(Protocol):
+    """The points of a cloud."""
+
+    def thin_surface(self, how: ObjectSearch) -> ThinSurface | None:
+        """Their surface, thinned; None where nothing stands on it. Raises :class:`GroundError`,
+        :class:`SurfaceError` or :class:`VolumeError` where there is none.
+        """
+        ...
+
+    def beside(self, there: F64, cell_m: float) -> Located:
+        """Those in or beside the cells that places ``there`` (m, 2) m lie in."""
+        ...
+
+    def without(self, things: Located) -> Self:
+        """The others."""
+        ...
+
+
+P = TypeVar("P", bound=SitePoints)
 
 
 @dataclass(frozen=True)
@@ -130,59 +145,67 @@ def step_height(object_height_m: float, sigma_m: float) -> float:
     return max(STEP * object_height_m, CLEAR * sigma_m)
 
 
-def thinned_tin(points: Located) -> Tin:
-    """The surface of points without those that stand alone; ``source`` has their rows."""
+def tin_of(points: Located) -> Tin:
+    """The surface of points; ``source`` has their rows."""
+    tin = build_tin(points.places)
+    return dataclasses.replace(tin, source=points.rows[tin.source])
+
+
+def sampled_tin(points: Located) -> Tin:
+    """The same without those that stand alone."""
     tin, _ = sampled_without_isolated(build_tin(points.places))
     return dataclasses.replace(tin, source=points.rows[tin.source])
 
 
-def standing_points(points: SitePoints, tin: Tin, standing: Bool, how: ObjectSearch) -> Located:
-    """The points that belong to the vertices ``standing`` (n,) of a thinned surface: those
-    themselves, and what is beside them and above the surface of the others.
+def standing_points(points: SitePoints, thin: ThinSurface, how: ObjectSearch) -> Located:
+    """The points that belong to what stands on a thinned surface: its vertices, and what is beside
+    them and above the surface of the others around.
     """
-    near = points.beside(tin.vertices[standing, :2], max(how.step_m, how.spacing_m))
-    high = rise_above(near.places, tin.vertices[~standing]) > HIGHER * how.step_m
-    rows = np.concatenate([tin.source[standing], near.rows[high]])
-    places = np.concatenate([tin.vertices[standing], near.places[high]])
+    standing = thin.standing
+    near = points.beside(standing.places[:, :2], how.beside_m)
+    ring = thin.around(near.places[:, :2], AROUND_M)
+    left = ring.located.places[~ring.standing]
+    high = rise_above(near.places, left) > HIGHER * how.step_m
+    rows = np.concatenate([standing.rows, near.rows[high]])
+    places = np.concatenate([standing.places, near.places[high]])
     rows, first = np.unique(rows, return_index=True)
-    return Located(rows.astype(np.int64), places[first])
+    return Located(rows, places[first])
 
 
 def objects_of_points(
-    points: SitePoints, taken: Located, coarse: Coarse, spacing_m: float
+    points: SitePoints, taken: Located, thin: ThinSurface, spacing_m: float
 ) -> Objects:
     """What the points ``taken`` were of, above all others around; on the thinned surface where the
     points around are too few for one.
     """
-    thin, standing, inside = coarse
     apart = max(APART_M, APART * spacing_m)
-    label, mask = clumps(thin.vertices[standing, :2], apart), vertex_mask(thin, inside)
+    standing, width = thin.standing, AROUND * apart
+    ring = thin.around(taken.places[:, :2], width)
+    label, at_counted = clumps(standing.places[:, :2], apart), ring.located.rows[ring.counted]
     try:
-        tin = thinned_tin(points.beside(taken.places[:, :2], AROUND * apart))
+        tin = sampled_tin(points.beside(taken.places[:, :2], width))
+        own = np.isin(tin.source, taken.rows)
     except SurfaceError:
-        return objects_of(thin, standing, standing, mask, label)
-    own, counted = np.isin(tin.source, taken.rows), np.isin(tin.source, thin.source[mask])
+        own = np.zeros(0, np.bool_)
     if not own.any():
-        return objects_of(thin, standing, standing, mask, label)
+        tin = tin_of(ring.located)
+        own = np.isin(tin.source, standing.rows)
     # dense points have too many neighbours for pairs of them
-    near = cKDTree(thin.vertices[standing, :2]).query(tin.vertices[own, :2])[1]
-    return objects_of(tin, own, own, counted, label[near])
+    near = cKDTree(standing.places[:, :2]).query(tin.vertices[own, :2])[1]
+    return objects_of(tin, own, own, np.isin(tin.source, at_counted), label[near])
 
 
-def searched(points: P, how: ObjectSearch, find: Find) -> Found[P]:
+def searched(points: P, how: ObjectSearch) -> Found[P]:
     """The points that belong to a surface, and what stands on it."""
-    found, parameters = list[StandingObject](), how.with_reach
+    found = list[StandingObject]()
     for _ in range(ROUNDS):
         try:
-            tin = thinned_tin(points.thinned(how.thinned_m))
-            if not any_step(tin.triangles, tin.vertices, how.step_m, STEEP):
+            thin = points.thin_surface(how)
+            if thin is None:
                 break
-            standing, inside = find(tin, how.sigma_m, parameters, how.step_m)
+            taken = standing_points(points, thin, how)
+            found += objects_of_points(points, taken, thin, how.spacing_m)
         except (GroundError, SurfaceError, VolumeError):  # no ground: the volume will say so
             break
-        if not standing.any():
-            break
-        taken = standing_points(points, tin, standing, how)
-        found += objects_of_points(points, taken, Coarse(tin, standing, inside), how.spacing_m)
         points = points.without(taken)
     return Found(points, tuple(sorted(found, key=lambda one: -one.volume_m3)))

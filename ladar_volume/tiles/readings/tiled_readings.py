@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,14 +19,17 @@ from ladar_volume.clouds.ground_readings import (
     GroundReadings,
     uneven_stretches,
 )
-from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, degree_of
-from ladar_volume.model.records import F64
+from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, degree_of, design_surface
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, Plane
 from ladar_volume.tiles import tile_volume
 from ladar_volume.tiles.readings import tile_outside, tile_support
 from ladar_volume.tiles.readings.tile_outside import Region
 from ladar_volume.tiles.readings.tile_support import Higher, TerraceSearch
 from ladar_volume.tiles.tile_batches import TiledCloud, added, ask, ask_merged
 from ladar_volume.tiles.tile_fit import VertexSelection
+from ladar_volume.tiles.tile_outline import Box
 from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tile_volume import Squares
@@ -108,6 +111,30 @@ class Around:
         """Those of every ``step``-th, in the order of the file."""
         chosen = VertexSelection((0.0, 0.0), (0.0,), math.inf, self.region.rest / name)
         return self.fitter.at_ranks(chosen, count, step)[:, 1:4] if count else np.zeros((0, 3))
+
+
+class TiledBase(NamedTuple):
+    """around : who asks about ground and outline, None above a given base · plane : the base ·
+    folder : where the triangles inside the outline are at rest, None for all
+    """
+
+    around: Around | None
+    plane: Plane
+    folder: Path | None
+
+
+def base_of(fitter: GroundFitter, reach: Sequence[Box], parameters: Parameters) -> TiledBase:
+    """The base of a volume, and its outline; ``reach`` of each tile."""
+    v = parameters.volume
+    if v.base != "ground":
+        given = [v.level_m] if v.base == "level" else list(v.plane)
+        return TiledBase(None, design_surface(given), None)
+    if math.isnan(fitter.sigma_m):
+        words = "the points are too few to estimate their noise: give --sigma"
+        raise SurfaceError(words, reason="surface_too_few_points")
+    finder = OutlineFinder(fitter, parameters, reach)
+    found = finder.found()
+    return TiledBase(Around(fitter, finder, found), found.fit.plane, found.folder)
 
 
 def ground_readings(around: Around, area_m2: float, rise_m: float) -> GroundReadings | None:

@@ -20,7 +20,7 @@ from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import (
     COUNTS,
     EVERY,
-    Limits,
+    SAMPLED,
     counted_of,
     counts_path,
     surface_of,
@@ -30,9 +30,6 @@ from ladar_volume.tiles.unseen.tile_spacing import Rasters
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.sampled_area import ALONE, FEWEST, Corners, open_parts, wide_kernel
-
-#: Triangles count where points were sampled.
-SAMPLED = Limits("sampled")
 
 
 @dataclass(frozen=True)

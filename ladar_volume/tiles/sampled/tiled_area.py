@@ -13,10 +13,10 @@ import numpy as np
 
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.sampled import tile_area
-from ladar_volume.tiles.sampled.tile_area import SAMPLED, AreaTask, OpenTile, SmallParts
+from ladar_volume.tiles.sampled.tile_area import AreaTask, OpenTile, SmallParts
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_store import Tile
-from ladar_volume.tiles.tile_surface import EVERY, surface_folder
+from ladar_volume.tiles.tile_surface import EVERY, SAMPLED, surface_folder
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from ladar_volume.clouds.sampling.object_search import Objects, ObjectSearch
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.tiles.standing.tiled_objects import objects_in_tiles
-from ladar_volume.tiles.standing.tiled_steps import found_steps
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tiles.standing.tiled_objects import objects_in_tiles, thin_points
+from ladar_volume.tiles.standing.tiled_steps import highest_of_all, step_doubt
 from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_ground import GroundFitter
@@ -20,12 +21,12 @@ from ladar_volume.tiles.unseen.tiled_between import filled_rasters, median_of, t
 @dataclass(frozen=True)
 class ClearedTiles:
     """made : the surfaces without what stands on them · objects : that, the largest first ·
-    unsearched : how it would be searched for, where the points are too many
+    doubts : that it has too many points
     """
 
     made: Triangulated
     objects: Objects = ()
-    unsearched: ObjectSearch | None = None
+    doubts: tuple[Doubt, ...] = ()
 
 
 def cleared_tiles(
@@ -36,18 +37,19 @@ def cleared_tiles(
         return ClearedTiles(made)
     made = with_spacings(made, workers)
     how = ObjectSearch(made.points.sigma_m, median_spacing(made), parameters)
-    if not any(found.steps for found in found_steps(workers, made.of, how, None)):
-        return ClearedTiles(made)
-    found = objects_in_tiles(made.points, how, workers)
+    found = objects_in_tiles(made.points, how, workers, staged(progress, "objects"))
     if found is None:
-        return ClearedTiles(made, (), how)
+        highest = highest_of_all(workers, thin_points(made.points, how, workers), how.step_m)
+        return ClearedTiles(made, (), () if highest is None else (step_doubt(highest, how.step_m),))
     if not found.objects:
         return ClearedTiles(made)
-
-    def again(stage: str, total: int, done: int) -> None:
-        progress(f"without objects: {stage}", total, done)
-
+    again = staged(progress, "without objects")
     return ClearedTiles(with_surfaces(found.points.points, workers, again), found.objects)
+
+
+def staged(progress: Progress, what: str) -> Progress:
+    """Progress whose stages have a name before theirs."""
+    return lambda stage, total, done: progress(f"{what}: {stage}", total, done)
 
 
 def median_spacing(made: Triangulated) -> float:

@@ -1,49 +1,71 @@
-"""The points of tiles, thinned to the one nearest to the middle of each cell of all, to the points
-that :func:`~ladar_volume.clouds.cloud_noise.thin_by_cells` takes of a cloud.
+"""The points of tiles, thinned to the one nearest to the middle of each cell of all, as tiles: to
+the points that :func:`~ladar_volume.clouds.cloud_noise.thin_by_cells` takes of a cloud.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.clouds.sampling.object_search import Located
 from ladar_volume.math.own_axes import raster_between
 from ladar_volume.model.records import F64, I64, Bool
-from ladar_volume.tiles.array_file import at_rest, read_arrays, write, write_arrays
+from ladar_volume.tiles.array_file import ENDING, at_rest, read_arrays, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_outline import Box, box_of
-from ladar_volume.tiles.tile_places import hull_of_places, joined_hull, places
-from ladar_volume.tiles.tile_store import Tile
+from ladar_volume.tiles.tile_places import hull_of_places, joined_hull
+from ladar_volume.tiles.tile_store import CloudParts, Tile, TileIndex, member
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tile_work import Workers
-from ladar_volume.tiles.unseen.tile_spacing import Cells, KeptPoints, first_of_cells, winners
+from ladar_volume.tiles.tiled_points import DealtOut
+from ladar_volume.tiles.unseen.tile_spacing import Cells, first_of_cells, winners
 
 
 @dataclass(frozen=True)
-class ThinnedTiles(KeptPoints):
-    """The points that are kept, as tiles. counts : of them, by tile"""
+class ThinnedTiles(TileIndex):
+    """Tiles of the points that are kept; ``cloud.folder`` is where they are."""
 
-    counts: dict[Tile, int]
+    def __reduce__(self) -> tuple[Callable[..., TileIndex], tuple[object, ...]]:
+        """Workers read it from what is at rest, once: it goes with every task."""
+        return thinned_at_rest, (self.cloud, self.hull.tobytes())
+
+    def points(self, tile: Tile) -> F64:
+        """Points (n, 3) m of a tile, by cell."""
+        return member(at_rest(self.cloud.folder, "kept", tile), "points")
+
+    def rows(self, tile: Tile) -> I64:
+        """Their numbers (n,) in the order of all."""
+        return member(at_rest(self.cloud.folder, "kept", tile), "row")
 
 
-def thinned(workers: Workers, of: TiledCloud, cell_m: float) -> ThinnedTiles:
+def thinned(workers: Workers, points: DealtOut, cell_m: float) -> DealtOut:
     """Of all points the nearest to the middle of each cell."""
-    index = of.index
-    boxes = np.array(list(index.box.values()))
+    of = TiledCloud(points.index, points.limits)
+    boxes = np.array(list(of.index.box.values()))
     low, _ = raster_between((boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)), cell_m)
-    folder = surface_folder(index, of.limits) / f"thinned_{cell_m:g}"
+    folder = surface_folder(of.index, of.limits) / f"thinned_{cell_m:g}"
     cells = ask(workers, of, nearest_in_tile, [(low, cell_m, folder)] * len(of.tiles))
     every = Cells(*(np.concatenate([c[k] for c in cells]) for k in range(3)))
     loses = np.split(~winners(every), np.cumsum([len(c.row) for c in cells])[:-1])
     lost = [c.row[loses] for c, loses in zip(cells, loses, strict=True)]
-    found = ask(workers, of, keep, [(folder, rows) for rows in lost])
-    kept = {t: k for t, k in zip(of.tiles, found, strict=True) if k.box is not None}
-    box = {t: k.box for t, k in kept.items() if k.box is not None}
-    hull = joined_hull([k.hull for k in found])
-    return ThinnedTiles(index.cloud, box, hull, folder, {t: k.count for t, k in kept.items()})
+    kept = ask(workers, of, keep, [(folder, rows) for rows in lost])
+    found = {t: k for t, k in zip(of.tiles, kept, strict=True) if k.box is not None}
+    index = ThinnedTiles(
+        dataclasses.replace(of.index.cloud, folder=folder),
+        {},
+        {t: k.count for t, k in found.items()},
+        {t: k.box for t, k in found.items() if k.box is not None},
+        {},
+        (),
+        joined_hull([k.hull for k in found.values()]),
+    )
+    write_index(index)
+    hulls = {t: k.hull for t, k in found.items()}
+    return dataclasses.replace(points, index=index, hulls=hulls)
 
 
 def nearest_in_tile(of: TiledCloud, tile: Tile, low: F64, cell_m: float, folder: Path) -> Cells:
@@ -73,26 +95,33 @@ class KeptTile:
 
 
 def keep(of: TiledCloud, tile: Tile, folder: Path, lost: I64) -> KeptTile:
-    """Put what is kept of a tile at rest: without the rows that ``lost`` to those of other tiles,
-    as footprints for :func:`~ladar_volume.tiles.tile_stars.tile_stars` and with its rows.
+    """Put what is kept of a tile at rest: without the rows that ``lost`` to those of other
+    tiles.
     """
     found = read_arrays(at_rest(folder, "nearest", tile), ("points", "row"))
     left: Bool = ~np.isin(found["row"], lost)
-    points, rows = found["points"][left], found["row"][left]
-    kept = places(points)
-    write(folder, "kept", tile, kept)
-    write_arrays(at_rest(folder, "rows", tile), {"points": points, "row": rows})
-    return KeptTile(len(rows), box_of(kept[:, :2]), hull_of_places(kept[:, :2]))
+    points = found["points"][left]
+    write_arrays(at_rest(folder, "kept", tile), {"points": points, "row": found["row"][left]})
+    return KeptTile(len(points), box_of(points[:, :2]), hull_of_places(points[:, :2]))
 
 
-def kept_rows(of: TiledCloud, tile: Tile, kept: ThinnedTiles) -> Located:
-    """The points kept of a tile."""
-    if tile not in kept.box:
-        return Located(np.zeros(0, np.int64), np.zeros((0, 3)))
-    found = read_arrays(at_rest(kept.folder, "rows", tile), ("points", "row"))
-    return Located(found["row"], found["points"])
+def write_index(index: ThinnedTiles) -> None:
+    """Put it at rest, when all tiles are."""
+    tiles = sorted(index.count)
+    arrays = {
+        "tiles": np.array(tiles, np.int64).reshape(-1, 2),
+        "count": np.array([index.count[t] for t in tiles], np.int64),
+        "box": np.array([index.box[t] for t in tiles]).reshape(-1, 4),
+    }
+    write_arrays(index.cloud.folder / f"index{ENDING}", arrays)
 
 
-def all_rows(of: TiledCloud, tile: Tile) -> Located:
-    """All points of a tile."""
-    return Located(of.index.rows(tile), of.index.points(tile))
+@lru_cache(maxsize=4)
+def thinned_at_rest(cloud: CloudParts, hull: bytes) -> ThinnedTiles:
+    """The index of a process, with the hull's corners."""
+    found = read_arrays(cloud.folder / f"index{ENDING}")
+    tiles = [(i, j) for i, j in found["tiles"].tolist()]
+    box = {t: tuple(b) for t, b in zip(tiles, found["box"].tolist(), strict=True)}
+    corners = np.frombuffer(hull, np.float64).reshape(-1, 2).copy()
+    count = dict(zip(tiles, found["count"].tolist(), strict=True))
+    return ThinnedTiles(cloud, {}, count, box, {}, (), corners)

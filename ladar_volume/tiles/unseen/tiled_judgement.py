@@ -37,7 +37,6 @@ from ladar_volume.tiles.readings.tiled_body import (
 from ladar_volume.tiles.readings.tiled_readings import Around, ground_readings
 from ladar_volume.tiles.standing.cleared_tiles import ClearedTiles, with_spacings
 from ladar_volume.tiles.standing.objects_inside import tiled_within, with_walls
-from ladar_volume.tiles.standing.tiled_steps import step_doubts
 from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.unseen.tiled_between import BetweenFinder
@@ -96,8 +95,7 @@ def judged(
         volume = with_lines(volume, {"outline": variance}) if variance > 0.0 else volume
     doubts = doubts or unseen_doubts(bridged.bridged_m2, bridged.inside_m2)
     doubts += coarse_doubts(volume, between)
-    if (how := sought.cleared.unsearched) is not None:
-        doubts += step_doubts(fitter.workers, fitter.of, how, outline)
+    doubts += sought.cleared.doubts
     if around is not None:
         volume, doubts = above_ground(volume, around, sought, doubts)
         return Judged(volume, between, doubts)

@@ -51,15 +51,20 @@ def parts(n: int, one: I64 | I32, two: I64 | I32) -> I64:
 
 
 class Steps(NamedTuple):
-    """low, high : (k,) vertices of each steep edge, both ways · rise : (k,) m · label : (n,) part
-    of each vertex · size : (p,) vertices of each part
+    """Steps between parts of a surface. size : (p,) vertices of each part · low, high : (k,) parts
+    below and above · times : (k,) how many steep edges lead from one to the other, those of two
+    triangles twice
     """
 
+    size: I64
     low: I64
     high: I64
-    rise: F64
-    label: I64
-    size: I64
+    times: I64
+
+    @property
+    def ground(self) -> int:
+        """The largest part."""
+        return int(np.argmax(self.size))
 
 
 @kernel
@@ -76,13 +81,21 @@ def any_step(triangles: I32, vertices: F64, step_m: float, steep: float) -> bool
     return False
 
 
-def surface_steps(tin: Tin, longest_m: float, step_m: float = STEP_M) -> Steps | None:
-    """Where the surface is cut apart, and the parts; None where it nowhere is. longest_m : of edges
-    that join · step_m : least height of a step
+class CutApart(NamedTuple):
+    """label : (n,) part of each vertex · low, high : (k,) vertices of the steep edges of each
+    triangle
+    """
+
+    label: I64
+    low: I64
+    high: I64
+
+
+def cut_apart(tin: Tin, longest_m: float, step_m: float, counted: Bool | None = None) -> CutApart:
+    """The parts of a surface, and the steep edges of its triangles, or of those ``counted`` (m,)
+    alone. longest_m : of edges that join · step_m : least height of a step
     """
     t, r = tin.triangles, tin.vertices
-    if not any_step(t, r, step_m, STEEP):
-        return None
     one = np.concatenate([t[:, 0], t[:, 1], t[:, 2]])
     two = np.concatenate([t[:, 1], t[:, 2], t[:, 0]])
     rise, d = r[two, 2] - r[one, 2], r[two, :2] - r[one, :2]
@@ -90,26 +103,39 @@ def surface_steps(tin: Tin, longest_m: float, step_m: float = STEP_M) -> Steps |
     steep = (np.abs(rise) > step_m) & (np.abs(rise) > STEEP * length)
     joins = ~steep & (length <= longest_m)
     label = parts(len(r), one[joins], two[joins])
+    if counted is not None:
+        steep &= np.tile(counted, 3)
     up = rise[steep] > 0.0
     a, b = one[steep], two[steep]
-    low, high = np.where(up, a, b), np.where(up, b, a)
-    return Steps(low, high, np.abs(rise[steep]), label, np.bincount(label))
+    return CutApart(label, np.where(up, a, b), np.where(up, b, a))
+
+
+def between_parts(low: I64, high: I64, times: I64, size: I64) -> Steps:
+    """Steps (k,) between parts (p,), those between the same two as one."""
+    name, at = np.unique(low * len(size) + high, return_inverse=True)
+    total = np.bincount(at.reshape(-1), times, len(name)).astype(np.int64)
+    return Steps(size, name // len(size), name % len(size), total)
 
 
 def standing_parts(steps: Steps, own: Bool) -> Bool:
     """Parts (p,) that stand on others, from the top down; ``own`` (p,) never do."""
     found = np.zeros(len(steps.size), np.bool_)
     may = ~own & (steps.size <= LARGE * steps.size.sum())
-    low, high = steps.label[steps.low], steps.label[steps.high]
     for _ in range(ROUNDS):
-        left = ~found[low] & ~found[high]
-        above = np.bincount(high[left], minlength=len(found))
-        below = np.bincount(low[left], minlength=len(found))
+        left = ~found[steps.low] & ~found[steps.high]
+        above = np.bincount(steps.high[left], steps.times[left], len(found))
+        below = np.bincount(steps.low[left], steps.times[left], len(found))
         more = may & ~found & (above > 0) & (above >= ABOVE * (above + below))
         if not more.any():
             break
         found |= more
     return found
+
+
+def more_on_ground(steps: Steps, found: Bool) -> bool:
+    """Whether more steps lie within the ground's own part than below the parts ``found`` (p,)."""
+    on_ground = (steps.low == steps.ground) & (steps.high == steps.ground)
+    return int(steps.times[on_ground].sum()) > int(steps.times[found[steps.high]].sum())
 
 
 def standing_vertices(
@@ -122,23 +148,24 @@ def standing_vertices(
     within the ground's own part than below what would go, and where most of the outline would go.
     """
     none = np.zeros(len(tin.vertices), np.bool_)
-    steps = surface_steps(tin, p.max_edge_m, step_m)
-    if steps is None:
+    if not any_step(tin.triangles, tin.vertices, step_m, STEEP):
         return none
-    own = np.zeros(len(steps.size), np.bool_)
-    ground = int(np.argmax(steps.size))
-    own[ground] = True
+    cut = cut_apart(tin, p.max_edge_m, step_m)
+    size, once = np.bincount(cut.label), np.ones(len(cut.low), np.int64)
+    steps = between_parts(cut.label[cut.low], cut.label[cut.high], once, size)
+    own = np.zeros(len(size), np.bool_)
+    own[steps.ground] = True
     if p.outline == "auto":
         found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
         for body in found:
-            count = np.bincount(steps.label[vertex_mask(tin, body)], minlength=len(own))
+            count = np.bincount(cut.label[vertex_mask(tin, body)], minlength=len(own))
             own[int(np.argmax(count))] = True
-            if body is found[0] and int(np.argmax(count)) != ground:
+            if body is found[0] and int(np.argmax(count)) != steps.ground:
                 return none
-    out: Bool = np.asarray(standing_parts(steps, own)[steps.label])
-    on_ground = (steps.label[steps.low] == ground) & (steps.label[steps.high] == ground)
-    if np.count_nonzero(on_ground) > np.count_nonzero(out[steps.high]):
+    standing = standing_parts(steps, own)
+    if more_on_ground(steps, standing):
         return none
+    out: Bool = np.asarray(standing[cut.label])
     area = footprint_areas(tin.vertices, tin.triangles)
     hidden = inside & out[tin.triangles].any(axis=1)
     if float(area[hidden].sum()) > MOST * float(area[inside].sum()):
