@@ -215,7 +215,7 @@ def reached(sides: OpenSides, boxes: F64) -> Bool:
 
 class TilePoints(Protocol):
     """Points in tiles: the side of these, by tile the box of its points, the corners (h, 2) of the
-    hull of all, and the footprints of a tile as :func:`~ladar_volume.tiles.tile_places.places`.
+    hull of all, and the footprints of a tile as :func:`~ladar_volume.tin.duplicates.places`.
     """
 
     @property

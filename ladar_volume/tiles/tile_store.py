@@ -33,7 +33,7 @@ from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tiles.array_file import ENDING, read_arrays, write_arrays
-from ladar_volume.tiles.tile_places import places_and_rows
+from ladar_volume.tin.duplicates import places_and_rows
 
 #: Points read at a time: about 100 bytes each while they are sorted.
 PART = 1_000_000
@@ -230,7 +230,7 @@ class TileIndex:
         return np.concatenate(found) if found else np.zeros(0, np.int64)
 
     def places(self, tile: Tile) -> F64:
-        """Footprints (k, 4) of a tile: :func:`~ladar_volume.tiles.tile_places.places`."""
+        """Footprints (k, 4) of a tile: :func:`~ladar_volume.tin.duplicates.places`."""
         return self._at_rest(tile, "places")
 
     def place_rows(self, tile: Tile) -> I64:

@@ -65,3 +65,25 @@ def first_within(xy: F64, tolerance_m: float = 0.0) -> I32:
     head = np.full(1 << int(2 * n - 1).bit_length(), -1, np.int64)
     copies_kernel(xy, float(tolerance_m), cell, head, after, same)
     return same
+
+
+def places(points: F64) -> F64:
+    """The distinct footprints of points (n, 3) by x, then y: (k, 4) of x, y, the mean height of the
+    points there, m, and how many these are; points with the same three coordinates are one.
+    """
+    return places_and_rows(points, np.zeros(len(points), np.int64))[0]
+
+
+def places_and_rows(points: F64, rows: I64) -> tuple[F64, I64]:
+    """:func:`places`, and the least of the rows (n,) of the points at each."""
+    order = np.lexsort(points.T[::-1])
+    r, rows = points[order] + 0.0, rows[order]  # no signed zeros
+    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
+    at_place = np.minimum.reduceat(rows, first) if len(r) else rows
+    distinct = np.r_[True, (np.diff(r, axis=0) != 0).any(axis=1)][: len(r)]
+    r = r[distinct]
+    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
+    count = np.diff(np.r_[first, len(r)])
+    height = np.add.reduceat(r[:, 2], first) / count if len(r) else r[:, 2]
+    height = np.where(count > 1, height, r[first, 2])
+    return np.column_stack([r[first, :2], height, count]), at_place

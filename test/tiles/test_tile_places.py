@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ladar_volume.clouds.between_points import places_in_triangles
-from ladar_volume.tiles.tile_places import hull_of_places, joined_hull, off_hull, places_and_rows
+from ladar_volume.tiles.tile_places import hull_of_places, joined_hull, off_hull
+from ladar_volume.tin.duplicates import places_and_rows
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.locate import locate_in_delaunay
 

@@ -15,16 +15,21 @@ from whole_and_tiles import (
     write,
 )
 
-from ladar_volume.clouds.sampling.cloud_objects import PointsAtHand
-from ladar_volume.clouds.sampling.object_search import Located
+from ladar_volume.clouds.sampling.cloud_objects import PointsAtHand, standing_in
+from ladar_volume.clouds.sampling.object_search import Located, ObjectSearch
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.pointfiles.crs import Reading
+from ladar_volume.model.parameters import Parameters
 from ladar_volume.tiles.standing import tiled_objects
-from ladar_volume.tiles.standing.tiled_objects import PointsInTiles
+from ladar_volume.tiles.standing.thinned_tiles import thinned
+from ladar_volume.tiles.standing.tiled_objects import PointsInTiles, thin_points
+from ladar_volume.tiles.standing.tiled_steps import highest_of_all, highest_step
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_surface import EVERY
 from ladar_volume.tiles.tile_work import OwnProcess
 from ladar_volume.tiles.tiled_points import PointsTask, triangulated
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.volume.field_checks.standing_objects import STEEP
 
 
 def with_things(p, things):
@@ -54,6 +59,8 @@ def test_what_stands_on_the_surface_is_taken_out_as_in_one_process(case, tmp_pat
     kind, shape, n, strays, alone, things, words = case
     rng = np.random.default_rng(n + strays)
     p = with_things(site(kind, shape, n, rng, strays, alone), things)
+    again = rng.choice(len(p), n // 20, replace=False)  # later returns at the same footprints
+    p = np.vstack([p, p[again] - np.array([0, 0, 1]) * rng.uniform(0.0, 0.6, (len(again), 1))])
     path = write(tmp_path / "cloud.laz", p, rng)
     whole = volume(capsys, path, *words)
     assert whole["objects"]
@@ -84,13 +91,13 @@ def test_what_is_nearly_all_that_rises_is_measured(tmp_path, capsys):
         assert differences(whole, tiled) == []
 
 
-def test_more_than_one_process_can_look_at_is_doubtful(tmp_path, capsys, monkeypatch):
+def test_things_of_too_many_points_are_doubtful(tmp_path, capsys, monkeypatch):
     rng = np.random.default_rng(7)
     p = with_things(site(scattered, "box", 9000, rng), THINGS[:1])
     path = write(tmp_path / "cloud.laz", p, rng)
     words = ["--base", "ground", "--tile", "25", "--store", str(tmp_path / "s")]
     whole = volume(capsys, path, "--base", "ground")
-    monkeypatch.setattr(tiled_objects, "MOST", 1000)
+    monkeypatch.setattr(tiled_objects, "MOST", 20)
     tiled = volume(capsys, path, *words)
     assert whole["objects"] and tiled["net_m3"] > whole["net_m3"] + 5.0  # it is counted
     (said,) = [r["text"] for r in tiled["verdict"]["reasons"] if r["name"] == "tiles_not_judged"]
@@ -101,28 +108,72 @@ def test_more_than_one_process_can_look_at_is_doubtful(tmp_path, capsys, monkeyp
     assert differences(whole, tiled) == []
 
 
+def tiles_of(path, folder, tile_m):
+    """The points of a file in tiles."""
+    parts = parts_of_file(path, folder, tile_m, Reading(), 2000)
+    asked = PointsTask(EVERY, 0.02, False)
+    return triangulated(parts, asked, OwnProcess(), lambda stage, total, done: None).points
+
+
+def every_point(points):
+    """Rows and places of all points of tiles."""
+    tiles = sorted(points.index.count)
+    rows = np.concatenate([points.index.rows(t) for t in tiles])
+    order = np.argsort(rows)
+    return rows[order], np.concatenate([points.index.points(t) for t in tiles])[order]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_points_in_tiles_are_those_at_hand(seed, tmp_path):
     rng = np.random.default_rng(seed)
     path = write(tmp_path / "cloud.laz", site(scattered, "hole", 6000, rng, 20), rng)
-    parts = parts_of_file(path, tmp_path / "s", 9.0, Reading(), 2000)
-    asked = PointsTask(EVERY, 0.02, False)
-    made = triangulated(parts, asked, OwnProcess(), lambda stage, total, done: None)
-    tiled, points = PointsInTiles(made.points, OwnProcess()), read_cloud(path).r
-    whole = PointsAtHand(points, np.arange(len(points)))
-    every = tiled.thinned(0.0)
-    np.testing.assert_array_equal(every.places, points)
+    points = read_cloud(path).r
+    tiled = PointsInTiles(tiles_of(path, tmp_path / "s", 9.0), OwnProcess(), lambda *_: None)
+    whole = PointsAtHand(points, np.arange(len(points)), standing_in)
+    rows, places = every_point(tiled.points)
+    np.testing.assert_array_equal(places, points)
     for cell in (0.4, 1.7):
-        one, two = whole.thinned(cell), tiled.thinned(cell)
-        np.testing.assert_array_equal(every.rows[one.rows], two.rows)
-        there = two.places[rng.random(len(two.rows)) < 0.05, :2]
+        one = whole.thinned(cell)
+        two = every_point(thinned(OwnProcess(), tiled.points, cell))
+        np.testing.assert_array_equal(rows[one.rows], two[0])
+        there = one.places[rng.random(len(one.rows)) < 0.05, :2]
         one, two = whole.beside(there, cell), tiled.beside(there, cell)
-        np.testing.assert_array_equal(every.rows[one.rows], two.rows)
+        np.testing.assert_array_equal(rows[one.rows], two.rows)
         np.testing.assert_array_equal(one.places, two.places)
         things = rng.choice(len(whole.kept), 200, replace=False)
         taken = whole.kept[np.sort(things)]
         whole = whole.without(Located(taken, points[taken]))
-        tiled = tiled.without(Located(every.rows[taken], points[taken]))
-        left = tiled.thinned(0.0)
-        np.testing.assert_array_equal(every.rows[whole.kept], left.rows)
-        np.testing.assert_array_equal(left.places, points[whole.kept])
+        tiled = tiled.without(Located(rows[taken], points[taken]))
+        left = every_point(tiled.points)
+        np.testing.assert_array_equal(rows[whole.kept], left[0])
+        np.testing.assert_array_equal(left[1], points[whole.kept])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_thinned_surface_of_tiles_is_that_of_all_points(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    boxes = rng.uniform([5, 5, 0.4, 0.4, 0.8], [65, 40, 2.5, 2.5, 4.0], (12, 5))
+    kind = (scattered, on_lines, gridded, scattered)[seed]
+    shape = ("box", "two", "notch", "hole")[seed]
+    p = with_things(site(kind, shape, 15000, rng, 0, seed > 1), boxes.tolist())
+    path = write(tmp_path / "cloud.laz", p, rng)
+    how = ObjectSearch(0.02, (0.3, 0.9)[seed % 2], Parameters())
+    points = read_cloud(path).r
+    one = PointsAtHand(points, np.arange(len(points)), standing_in).thin_surface(how)
+    dealt = tiles_of(path, tmp_path / "s", 13.0)
+    two = PointsInTiles(dealt, OwnProcess(), lambda *_: None).thin_surface(how)
+    rows, _ = every_point(dealt)
+    assert len(one.standing.rows) > 10
+    np.testing.assert_array_equal(rows[one.standing.rows], two.standing.rows)
+    np.testing.assert_array_equal(one.standing.places, two.standing.places)
+    there = one.standing.places[::3, :2]
+    a, b = one.around(there, 2.0), two.around(there, 2.0)
+    np.testing.assert_array_equal(rows[a.located.rows], b.located.rows)
+    np.testing.assert_array_equal(a.standing, b.standing)
+    np.testing.assert_array_equal(a.counted, b.counted)
+    points = thin_points(dealt, how, OwnProcess())
+    highest = highest_of_all(OwnProcess(), points, how.step_m)
+    tin = build_tin(every_point(points)[1])
+    found = highest_step(tin.triangles, tin.vertices, how.step_m, STEEP)
+    assert highest.rise == found[1] > 0.5
+    assert (highest.x, highest.y) == pytest.approx(found[2:])

@@ -16,18 +16,6 @@ from whole_and_tiles import (
 )
 
 from ladar_volume.cli.main import main
-from ladar_volume.clouds.cloud_noise import thin_by_cells
-from ladar_volume.clouds.sampling.object_search import ObjectSearch
-from ladar_volume.io.pointfiles.cloud_files import read_cloud
-from ladar_volume.io.pointfiles.crs import Reading
-from ladar_volume.model.parameters import Parameters, VolumeParameters
-from ladar_volume.tiles.standing.tiled_steps import highest_step, step_doubts
-from ladar_volume.tiles.tile_store import parts_of_file
-from ladar_volume.tiles.tile_surface import EVERY
-from ladar_volume.tiles.tile_work import OwnProcess
-from ladar_volume.tiles.tiled_points import PointsTask, triangulated
-from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.volume.field_checks.standing_objects import STEEP
 
 CASES = [
     (scattered, "L", 6000, 40, False, ["--base", "ground"]),
@@ -102,23 +90,3 @@ def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):
     whole = volume(capsys, path, *words)
     tiled = volume(capsys, path, *words, "--tile", "20", "--store", str(tmp_path / "s"))
     assert differences(whole, tiled) == []
-
-
-@pytest.mark.parametrize("spacing", [0.1, 0.5])
-def test_steps_are_those_of_the_thinned_points_of_all_tiles(spacing, tmp_path):
-    rng = np.random.default_rng(8)
-    path = write(tmp_path / "cloud.laz", site(scattered, "box", 9000, rng, 30), rng)
-    parts = parts_of_file(path, tmp_path / "s", 11.0, Reading(), 3000)
-    asked = PointsTask(EVERY, 0.02, False)
-    made = triangulated(parts, asked, OwnProcess(), lambda stage, total, done: None)
-    volume = VolumeParameters(object_height_m=0.15)
-    how = ObjectSearch(0.02, spacing, Parameters(volume=volume))
-    (found,) = step_doubts(OwnProcess(), made.of, how, None)
-    points, rows = read_cloud(path).r, slice(None)
-    if spacing < 0.25:
-        extent = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-        rows = np.sort(thin_by_cells(points, 0.25, extent=extent))
-    tin = build_tin(points[rows])
-    highest = highest_step(tin.triangles, tin.vertices, 0.25, STEEP)
-    assert found.value == highest[1] > 1.0
-    assert f"about ({highest[2]:.1f}, {highest[3]:.1f}) m" in found.text

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, StandingObject, Tin
+from ladar_volume.tin.duplicates import places_and_rows
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.sampled_area import sampled_without_isolated
 from ladar_volume.volume.field_checks.standing_objects import (
@@ -146,15 +147,21 @@ def step_height(object_height_m: float, sigma_m: float) -> float:
 
 
 def tin_of(points: Located) -> Tin:
-    """The surface of points; ``source`` has their rows."""
+    """The surface of points, at the mean height of those with one footprint; ``source`` has the
+    first row of each.
+    """
     tin = build_tin(points.places)
+    if tin.duplicates:
+        found, rows = places_and_rows(points.places, points.rows)
+        order = np.argsort(rows)
+        points = Located(rows[order], found[order, :3])
+        tin = build_tin(points.places)
     return dataclasses.replace(tin, source=points.rows[tin.source])
 
 
 def sampled_tin(points: Located) -> Tin:
     """The same without those that stand alone."""
-    tin, _ = sampled_without_isolated(build_tin(points.places))
-    return dataclasses.replace(tin, source=points.rows[tin.source])
+    return sampled_without_isolated(tin_of(points))[0]
 
 
 def standing_points(points: SitePoints, thin: ThinSurface, how: ObjectSearch) -> Located:

@@ -20,9 +20,10 @@ from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tiles.array_file import ENDING, at_rest, read, read_arrays, write, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_outline import Box, box_of
-from ladar_volume.tiles.tile_places import hull_of_places, places
+from ladar_volume.tiles.tile_places import hull_of_places
 from ladar_volume.tiles.tile_store import CloudParts, Tile
 from ladar_volume.tiles.tile_surface import used_of
+from ladar_volume.tin.duplicates import places
 from ladar_volume.tin.sampled_area import cell_in, lasting_sizes
 
 
@@ -266,7 +267,7 @@ class KeptPoints:
     folder: Path
 
     def places(self, tile: Tile) -> F64:
-        """Footprints (k, 4) of a tile: :func:`~ladar_volume.tiles.tile_places.places`."""
+        """Footprints (k, 4) of a tile: :func:`~ladar_volume.tin.duplicates.places`."""
         return read(self.folder, "kept", tile) if tile in self.box else np.zeros((0, 4))
 
 
