@@ -112,7 +112,7 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     """What the JSON says: that of ``volume``, and the tiles."""
     index, sums, parameters = found.index, found.sums, found.parameters
     ground = parameters.volume.base == "ground"
-    doubts = (*index.doubts, *doubts_of(found, ground, a))
+    doubts = (*index.doubts, *doubts_of(found, ground))
     return {
         **volume_facts(found.volume, parameters),
         "sigma_holds": held_words(found),
@@ -142,10 +142,16 @@ def facts_of(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
 
 def clean_facts(found: TiledVolume, a: argparse.Namespace) -> dict[str, Any]:
     """How many points were left out as strays, and what these would change, m³."""
-    every, effect = found.index.cleaned, found.stray_effect_m3
-    strays = every.strays if isinstance(every, CleanedTiles) else 0
-    points = sum(every.count.values()) + strays
+    strays, points = strays_of(found)
+    effect = found.stray_effect_m3
     return {"how": a.clean, "strays": strays, "share": strays / points, "effect_m3": effect}
+
+
+def strays_of(found: TiledVolume) -> tuple[int, int]:
+    """How many points were left out as strays, and of how many."""
+    every = found.index.cleaned
+    strays = every.strays if isinstance(every, CleanedTiles) else 0
+    return strays, sum(every.count.values()) + strays
 
 
 def held_words(found: TiledVolume) -> str:
@@ -155,14 +161,10 @@ def held_words(found: TiledVolume) -> str:
     return f"noise of the points{between}{ground} only"
 
 
-def doubts_of(found: TiledVolume, ground: bool, a: argparse.Namespace) -> list[Doubt]:
+def doubts_of(found: TiledVolume, ground: bool) -> list[Doubt]:
     """What speaks against a volume by tiles."""
-    points = sum(s.points for s in found.sums)
-    clean = clean_facts(found, a)
-    out, missing = (
-        [*found.doubts, *stray_doubts(clean["strays"], points + clean["strays"])],
-        list[str](),
-    )
+    strays, points = strays_of(found)
+    out, missing = [*found.doubts, *stray_doubts(strays, points)], list[str]()
     if found.between is None:
         missing += ["gaps", "what lies between the points"]
         missing += ["other readings of the ground"] * ground
