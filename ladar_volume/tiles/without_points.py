@@ -20,6 +20,7 @@ from ladar_volume.tiles.tile_places import hull_of_places, joined_hull
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tile_surface import EVERY, surface_of
 from ladar_volume.tiles.tile_work import Workers
+from ladar_volume.tin.duplicates import places
 from ladar_volume.tin.full_tin import any_corner
 
 #: So many indices are kept by a process: each pass has one, with and without its hull.
@@ -106,8 +107,9 @@ def left_of(of: TiledCloud, tile: Tile, gone: I64) -> LeftTile | None:
     around = np.unique(tin.triangles[any_corner(tin.triangles, mine)])
     cells = np.floor(tin.vertices[around, :2] / of.index.cloud.tile_m).astype(np.int64)
     changed = {(i, j) for i, j in np.unique(cells, axis=0).tolist()}
-    left = points[~out, :2]
-    return LeftTile(len(left), box_of(left), hull_of_places(left), frozenset(changed | {tile}))
+    left = points[~out]
+    hull = hull_of_places(places(left)[:, :2])
+    return LeftTile(len(left), box_of(left[:, :2]), hull, frozenset(changed | {tile}))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_points import DealtOut
 from ladar_volume.tiles.unseen.tile_spacing import Cells, first_of_cells, winners
+from ladar_volume.tin.duplicates import places
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ def keep(of: TiledCloud, tile: Tile, folder: Path, lost: I64) -> KeptTile:
     left: Bool = ~np.isin(found["row"], lost)
     points = found["points"][left]
     write_arrays(at_rest(folder, "kept", tile), {"points": points, "row": found["row"][left]})
-    return KeptTile(len(points), box_of(points[:, :2]), hull_of_places(points[:, :2]))
+    hull = hull_of_places(places(points)[:, :2])
+    return KeptTile(len(points), box_of(points[:, :2]), hull)
 
 
 def write_index(index: ThinnedTiles) -> None:
