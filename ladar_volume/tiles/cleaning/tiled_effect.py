@@ -16,6 +16,7 @@ import numpy as np
 
 from ladar_volume.clouds.sampling.stray_effect import (
     held_below,
+    inner_places,
     plan_areas,
     triangles_over,
 )
@@ -112,7 +113,7 @@ def effect_here(
     strays, ground, held = strays_about(patch.tin, folder, some)
     fresh = triangles_over(np.vstack([patch.tin.vertices, strays[held]]))
     fresh = fresh[mine(of, tile, fresh, strays)]
-    at = locate(triangle_index(patch.tin, ground), fresh[:, :, :2].mean(axis=1))
+    at = locate(triangle_index(patch.tin, ground), inner_places(fresh))
     share = np.where(at >= 0, patch.inside[at], False)
     return old - held_below(fresh, share * plan_areas(fresh), base)
 
