@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -66,6 +67,26 @@ def rising_parts(
     total = np.bincount(label[own], volume, minlength=label.max(initial=-1) + 1).astype(np.float64)
     write(folder, "rising", tile, label)
     return parts_of(surface, label, total)
+
+
+class Pit(NamedTuple):
+    """What lies deeper below a base: its area, m², its first moments (2,), m³, and how deep, m"""
+
+    area_m2: float
+    first_m3: F64
+    depth_m: float
+
+
+def pit(of: TiledCloud, tile: Tile, base: Plane, depth_m: float) -> Pit:
+    """The triangles of a tile that lie deeper than so much below a base."""
+    surface = surface_of(of.index, of.limits, tile)
+    tin = surface.tin
+    height = height_above(tin.vertices, base)
+    falling = tin.relevant & surface.counted & ~any_corner(tin.triangles, ~(height < -depth_m))
+    t = tin.triangles[falling]
+    area = footprint_areas(tin.vertices, t)
+    first = area @ tin.vertices[t, :2].mean(axis=1)
+    return Pit(float(area.sum()), first, -float(height[t].min(initial=0.0)))
 
 
 def box_of(xy: F64) -> Box | None:

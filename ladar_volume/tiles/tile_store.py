@@ -41,6 +41,11 @@ PART = 1_000_000
 ENDINGS = (".las", ".laz")
 #: Layout of the archives; another number makes another folder.
 LAYOUT = 4
+#: A tile of a side that is not given holds about so many points, where these make tiles for all
+#: workers, and so many at least; its side where it cannot be told, m.
+FULL, EMPTY, TILES, USUAL_M = 100_000, 10_000, 64, 50.0
+#: It is told from so many stretches of so many points, between these shares of their coordinates.
+STRETCHES, STRETCH, MIDDLE = 16, 20_000, (0.01, 0.99)
 #: Farthest tile from the origin, in tiles: names stay whole numbers.
 FARTHEST = 2**40
 
@@ -74,17 +79,18 @@ class CloudParts:
 
 
 def parts_of_file(
-    path: Path, store: Path, tile_m: float, reading: Reading, part: int = PART
+    path: Path, store: Path, tile_m: float | None, reading: Reading, part: int = PART
 ) -> CloudParts:
-    """How a file is dealt out into tiles below the folder ``store``. Raises :class:`InputError` and
-    :class:`CloudError` for what is no sound LAS file, :class:`ConfigurationError` for the tile.
+    """How a file is dealt out into tiles below the folder ``store``, of a side that suits its
+    points for None. Raises :class:`InputError` and :class:`CloudError` for what is no sound LAS
+    file, :class:`ConfigurationError` for the tile.
     """
     if path.suffix.lower() not in ENDINGS:
         words = (
             f"{path}: tiles are read from LAS, LAZ and COPC; convert it with ladar_volume filter"
         )
         raise InputError(words, reason="input_format", value=str(path))
-    if not (math.isfinite(tile_m) and tile_m > 0.0):
+    if tile_m is not None and not (math.isfinite(tile_m) and tile_m > 0.0):
         raise ConfigurationError(f"--tile {tile_m}: a side in m above 0", value=tile_m)
     if not path.exists():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
@@ -102,8 +108,27 @@ def parts_of_file(
         raise InputError(words, reason="input_unreadable", value=str(path)) from error
     if points == 0:
         raise CloudError(f"{path}: there is no point in it", reason="cloud_empty")
+    if tile_m is None:
+        tile_m = suitable_side(CloudParts(path, store, math.nan, points, part, reading))
     name = digest([content, tile_m, part, asdict(reading), LAYOUT])
     return CloudParts(path, store / name, tile_m, points, part, reading)
+
+
+def suitable_side(cloud: CloudParts) -> float:
+    """The side, m, of tiles that work goes fast with, from some stretches of the file: a few points
+    far away do not matter.
+    """
+    part = min(cloud.points, STRETCH)
+    short = dataclasses.replace(cloud, part=part)
+    some = np.unique(np.linspace(0.0, short.count - 1.0, STRETCHES).astype(np.int64)).tolist()
+    xy = np.concatenate([read_part(short, k)[0][:, :2] for k in some])
+    if not len(xy):
+        return USUAL_M
+    low, high = np.quantile(xy, MIDDLE, axis=0)
+    many = cloud.points * len(xy) / min(part * len(some), cloud.points)
+    each = min(max(many / TILES, EMPTY), FULL)
+    side = math.sqrt(float((high - low).prod()) * each / many)
+    return float(f"{side:.2g}") or USUAL_M
 
 
 def digest(values: object) -> str:

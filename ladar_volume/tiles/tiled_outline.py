@@ -24,6 +24,7 @@ from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_surface import surface_folder
 from ladar_volume.tiles.tiled_ground import GroundFitter, TiledFit
 from ladar_volume.volume.base import LAST, MAX_ROUNDS
+from ladar_volume.volume.outline import words_of_pit
 
 R = TypeVar("R")
 
@@ -116,6 +117,8 @@ class OutlineFinder:
         folder = surface_folder(self.fitter.of.index, self.fitter.of.limits) / digest(words)
         n = len(tiles)
         rising = self._ask(tile_outline.rising_parts, [(folder, plane, p.object_height_m)] * n)
+        if not any(parts.count for parts in rising):
+            raise self._nothing_rises(plane)
         chosen = self._bodies(rising)
         boxes = self._ask(tile_outline.body, [(folder, c) for c in chosen])
         beside = self.beside(boxes, p.outline_margin_m)
@@ -130,6 +133,17 @@ class OutlineFinder:
     def _bodies(self, rising: Sequence[TileParts]) -> list[Bool]:
         """Which parts (count,) of each tile belong to the bodies."""
         return [body >= 0 for body in bodies_in_order(rising, self.parameters.volume)]
+
+    def _nothing_rises(self, base: Plane) -> VolumeError:
+        """The error that says so, and what lies below the base instead."""
+        height_m = self.parameters.volume.object_height_m
+        pits = self._ask(tile_outline.pit, [(base, height_m)] * len(self.fitter.of.tiles))
+        area = sum(one.area_m2 for one in pits)
+        words = f"nothing rises more than {height_m:g} m above the base"
+        if area > 0.0:
+            x, y = np.sum([one.first_m3 for one in pits], axis=0) / area
+            words += words_of_pit(area, max(one.depth_m for one in pits), x, y)
+        return VolumeError(words, reason="volume_no_body", value=height_m)
 
     def beside(self, boxes: Sequence[Box | None], distance_m: float) -> list[list[Tile]]:
         """For each tile those with something in a box that its triangles may reach."""
@@ -154,15 +168,9 @@ class OutlineFinder:
 
 def bodies_in_order(rising: Sequence[TileParts], p: VolumeParameters) -> list[I64]:
     """Which body each part (count,) of each tile belongs to, the largest being 0; -1 for none of
-    those that count. Raises :class:`VolumeError` where nothing rises.
+    those that count.
     """
     label = part_labels(rising)
-    if not len(label):
-        raise VolumeError(
-            f"nothing rises more than {p.object_height_m:g} m above the base",
-            reason="volume_no_body",
-            value=p.object_height_m,
-        )
     total = np.bincount(label, np.concatenate([each.total for each in rising]))
     order = np.argsort(-total, kind="stable")
     kept = [k for n, k in enumerate(order) if n == 0 or total[k] >= max(p.min_body_m3, 1e-300)]

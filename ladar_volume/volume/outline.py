@@ -68,10 +68,15 @@ def pit_words(tin: Tin, height: F64, depth_m: float) -> str:
     t = tin.triangles[falling]
     area = footprint_areas(tin.vertices, t)
     x, y = plan_centre(tin, t, area)
+    return words_of_pit(float(area.sum()), -float(height[t].min()), x, y)
+
+
+def words_of_pit(area_m2: float, depth_m: float, x_m: float, y_m: float) -> str:
+    """The same from its area, depth and middle."""
     return (
-        f"; a pit of {area.sum():.3g} m² is up to {-float(height[t].min()):.3g} m deep about "
-        f"({x:.1f}, {y:.1f}) m: the outline 'all' takes it for fill, volume.polygon_m draws around "
-        "it"
+        f"; a pit of {area_m2:.3g} m² is up to {depth_m:.3g} m deep about "
+        f"({x_m:.1f}, {y_m:.1f}) m: the outline 'all' takes it for fill, volume.polygon_m draws "
+        "around it"
     )
 
 

@@ -90,3 +90,17 @@ def test_points_that_show_no_spacing_count_up_to_their_hull(tmp_path, capsys):
     whole = volume(capsys, path, *words)
     tiled = volume(capsys, path, *words, "--tile", "20", "--store", str(tmp_path / "s"))
     assert differences(whole, tiled) == []
+
+
+def test_where_nothing_rises_the_pit_is_named(tmp_path, capsys):
+    rng = np.random.default_rng(4)
+    p = site(scattered, "box", 5000, rng)
+    p[:, 2] = 100.0 + rng.normal(0.0, 0.005, len(p))
+    p[np.hypot(*(p[:, :2] - [1045.0, -480.0]).T) < 6.0, 2] -= 3.0
+    path = str(write(tmp_path / "cloud.laz", p, rng))
+    said = []
+    for more in ([], ["--tile", "15", "--store", str(tmp_path / "s")]):
+        assert main(["volume", path, "--base", "ground", *more]) == 2
+        said.append(capsys.readouterr().err)
+    assert "a pit of 1" in said[0] and "3" in said[0]
+    assert said[0].split("nothing rises")[1] == said[1].split("nothing rises")[1]

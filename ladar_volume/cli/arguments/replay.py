@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.arguments.scale.work_options import add_work_options
+from ladar_volume.cli.arguments.scale.work_options import TILE_M, add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.cli.help.summaries import SUMMARIES
@@ -46,7 +46,7 @@ def add_parser(subparsers: Verbs) -> None:
         action="store_true",
         help="of a log also what it had heard before georeference_node heard the driver",
     )
-    add_work_options(parser, "BAG.tiles", always=False)
+    add_work_options(parser, "BAG.tiles", f"{TILE_M:g}", always=False)
     parser.set_defaults(run=work("ladar_volume.cli.replay"))
 
 

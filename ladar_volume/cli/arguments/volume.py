@@ -14,7 +14,7 @@ from ladar_volume.cli.arguments.parameter_flags import (
     spec_of,
 )
 from ladar_volume.cli.arguments.reading import add_mesh_options
-from ladar_volume.cli.arguments.scale.work_options import add_work_options
+from ladar_volume.cli.arguments.scale.work_options import BY_POINTS, add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
@@ -64,7 +64,7 @@ def add_parser(subparsers: Verbs) -> None:
     add_file_options(parser)
     add_unit_option(parser)
     add_mesh_options(parser, second=True)
-    add_work_options(parser, "CLOUD.tiles", always=False)
+    add_work_options(parser, "CLOUD.tiles", BY_POINTS, always=False)
     add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.volume"))
 

@@ -10,7 +10,6 @@ from typing import Any
 
 from rich.console import Console
 
-from ladar_volume.cli.arguments.scale.work_options import TILE_M
 from ladar_volume.cli.inputs.base_choice import parameters_of
 from ladar_volume.cli.inputs.reading import reading_of
 from ladar_volume.cli.scale.workers import Progress, check_workers, progress_on, workers_of
@@ -44,8 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = requested_parameters(arguments)
     store = arguments.store or arguments.cloud.with_name(arguments.cloud.name + ".tiles")
     with words.status("reading"):
-        tile_m = TILE_M if arguments.tile is None else arguments.tile
-        cloud = parts_of_file(arguments.cloud, store, tile_m, reading_of(arguments))
+        cloud = parts_of_file(arguments.cloud, store, arguments.tile, reading_of(arguments))
     with workers_of(arguments, words) as workers, progress_on(words) as bars:
         named, correct = named_lengths(arguments.set), not arguments.no_correction
         limits, clean = limits_of(arguments), arguments.clean == "auto"

@@ -48,7 +48,7 @@ def thinned(workers: Workers, points: DealtOut, cell_m: float) -> DealtOut:
     of = TiledCloud(points.index, points.limits)
     boxes = np.array(list(of.index.box.values()))
     low, _ = raster_between((boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)), cell_m)
-    folder = surface_folder(of.index, of.limits) / f"thinned_{cell_m:g}"
+    folder = surface_folder(of.index, of.limits) / f"thinned_{cell_m!r}"
     cells = ask(workers, of, nearest_in_tile, [(low, cell_m, folder)] * len(of.tiles))
     every = Cells(*(np.concatenate([c[k] for c in cells]) for k in range(3)))
     loses = np.split(~winners(every), np.cumsum([len(c.row) for c in cells])[:-1])

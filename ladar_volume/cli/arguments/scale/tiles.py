@@ -12,7 +12,7 @@ from ladar_volume.cli.arguments.parameter_flags import (
     number,
 )
 from ladar_volume.cli.arguments.reading import add_reading_options
-from ladar_volume.cli.arguments.scale.work_options import add_work_options
+from ladar_volume.cli.arguments.scale.work_options import BY_POINTS, add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.cli.help.summaries import SUMMARIES
@@ -32,7 +32,7 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument("cloud", type=Path, help="point cloud (.las .laz)")
     _add_bases(parser.add_argument_group("base"))
     _add_surface(parser)
-    add_work_options(parser, "CLOUD.tiles")
+    add_work_options(parser, "CLOUD.tiles", BY_POINTS)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )

@@ -7,21 +7,24 @@ from pathlib import Path
 
 from ladar_volume.cli.arguments.parameter_flags import number
 
-#: Side of a tile, m, where none is given.
+#: Side of a tile of a recording, m, where none is given.
 TILE_M = 50.0
+#: That of a cloud, in words.
+BY_POINTS = "by its points, some 10⁵ in each"
 
 
-def add_work_options(parser: argparse.ArgumentParser, store: str, always: bool = True) -> None:
-    """Tiles, where they are at rest, and who works on them. store : its usual name · always : the
-    work is done by tiles in any case
+def add_work_options(
+    parser: argparse.ArgumentParser, store: str, side: str, always: bool = True
+) -> None:
+    """Tiles, where they are at rest, and who works on them. store : its usual name · side : the
+    usual one of a tile, in words · always : the work is done by tiles in any case
     """
     g = parser.add_argument_group("work")
     g.add_argument(
         "--tile",
         type=number,
-        default=TILE_M if always else None,
         metavar="M",
-        help=f"side of a tile (default {TILE_M:g}"
+        help=f"side of a tile (default: {side}"
         + (")" if always else " with --dask; without both there are no tiles)"),
     )
     g.add_argument(
