@@ -20,7 +20,7 @@ from ladar_volume.clouds.sampling.object_search import Located, ObjectSearch
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.tiles.standing import tiled_objects
+from ladar_volume.tiles.standing import tiled_parts
 from ladar_volume.tiles.standing.thinned_tiles import thinned
 from ladar_volume.tiles.standing.tiled_objects import PointsInTiles, thin_points
 from ladar_volume.tiles.standing.tiled_steps import highest_of_all, highest_step
@@ -97,7 +97,7 @@ def test_things_of_too_many_points_are_doubtful(tmp_path, capsys, monkeypatch):
     path = write(tmp_path / "cloud.laz", p, rng)
     words = ["--base", "ground", "--tile", "25", "--store", str(tmp_path / "s")]
     whole = volume(capsys, path, "--base", "ground")
-    monkeypatch.setattr(tiled_objects, "MOST", 20)
+    monkeypatch.setattr(tiled_parts, "MOST_POINTS", 20)
     tiled = volume(capsys, path, *words)
     assert whole["objects"] and tiled["net_m3"] > whole["net_m3"] + 5.0  # it is counted
     (said,) = [r["text"] for r in tiled["verdict"]["reasons"] if r["name"] == "tiles_not_judged"]

@@ -1,7 +1,7 @@
 """The points of tiles without what stands on their surface: to what
 :func:`~ladar_volume.clouds.sampling.cloud_objects.without_objects` leaves of all at once. One
 process looks at the points of these things and around them, as far as they are no more than
-:data:`MOST`.
+:data:`~ladar_volume.tiles.standing.tiled_parts.MOST_POINTS`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 
@@ -17,7 +17,12 @@ from ladar_volume.clouds.sampling.object_search import Found, Located, ObjectSea
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tiles.standing import tile_parts
 from ladar_volume.tiles.standing.thinned_tiles import thinned
-from ladar_volume.tiles.standing.tiled_parts import PartsFinder, Standing
+from ladar_volume.tiles.standing.tiled_parts import (
+    PartsFinder,
+    Standing,
+    TooManyPointsError,
+    check,
+)
 from ladar_volume.tiles.standing.tiled_steps import highest_of_all
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_store import digest
@@ -25,20 +30,6 @@ from ladar_volume.tiles.tile_surface import EVERY, SAMPLED
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_points import DealtOut, Progress, with_surfaces
 from ladar_volume.tiles.without_points import without_points
-
-#: Most points that one process looks at: some 1.3 GB.
-MOST = 3_000_000
-R = TypeVar("R")
-
-
-class TooManyPointsError(Exception):
-    """What one process would look at is more than it may hold."""
-
-
-def check(count: int) -> None:
-    """Raise :class:`TooManyPointsError`."""
-    if count > MOST:
-        raise TooManyPointsError
 
 
 def by_row(found: Sequence[Located]) -> tuple[Located, I64]:

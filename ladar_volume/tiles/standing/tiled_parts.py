@@ -32,7 +32,19 @@ from ladar_volume.volume.field_checks.standing_objects import (
     standing_parts,
 )
 
+#: Most points, or parts, that one process looks at: some 1.3 GB.
+MOST_POINTS = 3_000_000
 R = TypeVar("R")
+
+
+class TooManyPointsError(Exception):
+    """What one process would look at is more than it may hold."""
+
+
+def check(count: int) -> None:
+    """Raise :class:`TooManyPointsError`."""
+    if count > MOST_POINTS:
+        raise TooManyPointsError
 
 
 class Standing(NamedTuple):
@@ -74,7 +86,9 @@ class PartsFinder:
         longest, step = parameters.volume.max_edge_m, self.how.step_m
         folder = surface_folder(self.of.index, EVERY) / f"parts_{digest([longest, step])}"
         asked = [(folder, longest, step)] * len(self.of.tiles)
-        joined = joined_steps(self._ask(tile_parts.step_parts, asked))
+        cut = self._ask(tile_parts.step_parts, asked)
+        check(sum(tile.parts.count for tile in cut))
+        joined = joined_steps(cut)
         own = np.zeros(len(joined.steps.size), np.bool_)
         own[joined.steps.ground] = True
         if base.around is not None and base.folder is not None:
