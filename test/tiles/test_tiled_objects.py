@@ -71,9 +71,18 @@ def test_what_stands_on_the_surface_is_taken_out_as_in_one_process(case, tmp_pat
         assert len(tiled["objects"]) == len(whole["objects"])
         for one, two in zip(whole["objects"], tiled["objects"], strict=True):
             assert two == pytest.approx(one, rel=1e-7)
-    count = [*words, "--set", "volume.objects=count"]
-    counted = volume(capsys, path, *count, *store)  # the same store, other parameters
-    assert differences(volume(capsys, path, *count), counted) == []
+
+
+def test_one_store_holds_the_site_with_things_and_without(tmp_path, capsys):
+    rng = np.random.default_rng(2)
+    p = with_things(site(scattered, "L", 9000, rng, 5), THINGS)
+    path = write(tmp_path / "cloud.laz", p, rng)
+    words, count = ["--base", "ground"], ["--set", "volume.objects=count"]
+    store = ["--tile", "25", "--store", str(tmp_path / "s")]
+    whole, tiled = volume(capsys, path, *words), volume(capsys, path, *words, *store)
+    counted = volume(capsys, path, *words, *count, *store)
+    assert differences(whole, tiled) == []
+    assert differences(volume(capsys, path, *words, *count), counted) == []
     assert counted["net_m3"] > whole["net_m3"] + 3.0
     assert differences(whole, volume(capsys, path, *words, *store)) == []
 
