@@ -396,10 +396,9 @@ def cleared_surface(task: VolumeTask, surface: CloudSurface) -> CloudSurface:
         fitted = dataclasses.replace(fitted, volume=volume)
     cleared = without_objects(surface, fitted, task.options, rings)
     by_body = fitted.volume.base == "ground" and fitted.volume.outline == "auto"
-    stays = not cleared.objects or by_body or task.outlines is not None
-    if stays or not nearly_all_above(cleared, fitted):
+    if not cleared.objects or by_body or task.outlines is not None:
         return cleared
-    return surface
+    return surface if nearly_all_above(cleared, fitted) else cleared
 
 
 def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:

@@ -2,6 +2,8 @@
 at once.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from whole_and_tiles import (
@@ -71,6 +73,21 @@ def test_what_stands_on_the_surface_is_taken_out_as_in_one_process(case, tmp_pat
         assert len(tiled["objects"]) == len(whole["objects"])
         for one, two in zip(whole["objects"], tiled["objects"], strict=True):
             assert two == pytest.approx(one, rel=1e-7)
+
+
+@pytest.mark.parametrize("name", ["isprs_samp41.pcd", "automotive.ply"])
+def test_real_surveys_are_as_in_one_process(name, tmp_path, capsys):
+    p = read_cloud(Path(__file__).parents[1] / "data" / name).r
+    p = p - np.floor(p.min(axis=0))  # to the millimetre in 32 bits
+    path = write(tmp_path / "cloud.laz", p, np.random.default_rng(1))
+    tile = float(np.ptp(p[:, :2], axis=0).max()) / 4.0
+    store = ["--tile", f"{tile:.3g}", "--store", str(tmp_path / "s")]
+    words = ["--level", f"{np.median(p[:, 2]) - 1.0:.2f}", "--units", "m"]
+    whole, tiled = volume(capsys, path, *words), volume(capsys, path, *words, *store)
+    assert differences(whole, tiled) == []
+    assert len(whole["objects"]) == len(tiled["objects"])
+    for one, two in zip(whole["objects"], tiled["objects"], strict=True):
+        assert two == pytest.approx(one, rel=1e-7)
 
 
 def test_one_store_holds_the_site_with_things_and_without(tmp_path, capsys):

@@ -12,7 +12,6 @@ from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import EVERY, surface_of
 from ladar_volume.tiles.tile_work import Workers
 from ladar_volume.tiles.tiled_points import DealtOut
-from ladar_volume.tin.full_tin import any_corner
 from ladar_volume.volume.field_checks.standing_objects import STEEP
 
 
@@ -47,11 +46,8 @@ def highest_step(triangles: I32, vertices: F64, step_m: float, steep: float) -> 
 
 def steps_of(of: TiledCloud, tile: Tile, step_m: float) -> Highest:
     """The steps round the vertices of a tile."""
-    surface = surface_of(of.index, EVERY, tile)
-    t = surface.tin.triangles
-    return Highest(
-        *highest_step(t[any_corner(t, surface.own)], surface.tin.vertices, step_m, STEEP)
-    )
+    tin = surface_of(of.index, EVERY, tile).tin
+    return Highest(*highest_step(tin.triangles, tin.vertices, step_m, STEEP))
 
 
 def highest_of_all(workers: Workers, points: DealtOut, step_m: float) -> Highest | None:
