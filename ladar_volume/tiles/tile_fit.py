@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,6 +43,8 @@ class VertexSelection:
         """Which of the vertices (k, 3) m with rows (k,) these are."""
         if self.rows is not None:
             return np.asarray(np.isin(row, self.rows, assume_unique=True))
+        if self.limit_m == math.inf:
+            return np.ones(len(xyz), np.bool_)
         surface = design_surface(self.beta, self.origin_xy)
         off = np.abs(xyz[:, 2] - base_height(surface, xyz[:, :2]))
         return np.asarray(off <= self.limit_m)
@@ -62,6 +65,8 @@ def chosen_of(of: TiledCloud, tile: Tile, chosen: VertexSelection) -> tuple[F64,
     """The same of the chosen ones."""
     xyz, shared, row = vertices(of, tile, chosen.ring)
     mask = chosen.mask(xyz, row)
+    if mask.all():
+        return xyz, shared, row
     return xyz[mask], shared[mask], row[mask]
 
 

@@ -77,13 +77,13 @@ def patch_of(
     parts = [whole_part(surface, inside_of(surface, tile, folder))]
     parts += parts_beside(of, tile, box, folder)
     while True:
-        patch, complete = joined(parts)
-        marked = np.zeros(len(complete), np.bool_)
-        marked[patch.own] = True
-        grow_kernel(patch.tin.triangles, marked, edges)
-        missing = patch.tin.vertices[marked & ~complete, :2]
+        found = joined(parts)
+        marked = np.zeros(len(found.complete), np.bool_)
+        marked[found.own] = True
+        grow_kernel(found.triangles, marked, edges)
+        missing = found.vertices[marked & ~found.complete, :2]
         if not len(missing):
-            return patch
+            return found.patch(parts)
         # long triangles on the hull lead far out of the box: fetch what meets their corners
         parts += parts_at(of, missing, folder, edges)
 
@@ -168,10 +168,36 @@ def tiles_in(index: TilePoints, box: Box) -> list[Tile]:
     return [t for t, b in near if b[0] <= x1 and b[2] >= x0 and b[1] <= y1 and b[3] >= y0]
 
 
-def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
-    """One surface of parts, the first of which is that of the tile; and round which of its vertices
-    (n,) all triangles are known.
+@dataclass(frozen=True)
+class JoinedParts:
+    """Triangles (m, 3) of parts over their vertices (n, 3) m, each once. first : (n,) rows of the
+    vertices among those of all parts, one after the other · some : (m,) those of the triangles ·
+    own : (k,) the vertices of the first part round which it knows all triangles · complete : (n,)
+    round which vertices any part does
     """
+
+    vertices: F64
+    triangles: I32
+    first: I64
+    some: I64
+    own: I64
+    complete: Bool
+
+    def patch(self, parts: Sequence[SurfacePart]) -> TilePatch:
+        """The surface of these parts."""
+        n = len(self.vertices)
+        counted, inside, relevant = (
+            np.concatenate([getattr(p, name) for p in parts])[self.some]
+            for name in ("counted", "inside", "relevant")
+        )
+        shared = np.concatenate([p.shared for p in parts])[self.first]
+        across = across_sides(self.triangles, n)
+        tin = Tin(self.vertices, self.triangles, across, inside, np.full(n, -1))
+        return TilePatch(tin, shared, self.own, counted, inside, relevant)
+
+
+def joined(parts: Sequence[SurfacePart]) -> JoinedParts:
+    """The triangles of parts, the first of which is that of the tile."""
     xyz = np.concatenate([p.vertices for p in parts])
     _, first, place = np.unique(names_of(xyz), return_index=True, return_inverse=True)
     place = place.reshape(-1).astype(np.int32)
@@ -180,18 +206,10 @@ def joined(parts: list[SurfacePart]) -> tuple[TilePatch, Bool]:
         [place[at + p.triangles] for at, p in zip(start[:-1], parts, strict=True)]
     )
     some, triangles = distinct_triangles(corners, len(first))
-    counted, inside, relevant = (
-        np.concatenate([getattr(p, name) for p in parts])[some]
-        for name in ("counted", "inside", "relevant")
-    )
-    vertices, shared = xyz[first], np.concatenate([p.shared for p in parts])[first]
-    tin = Tin(
-        vertices, triangles, across_sides(triangles, len(first)), inside, np.full(len(first), -1)
-    )
     own = place[: start[1]][parts[0].complete].astype(np.int64)
     complete = np.zeros(len(first), np.bool_)
     complete[place[np.concatenate([p.complete for p in parts])]] = True
-    return TilePatch(tin, shared, own, counted, inside, relevant), complete
+    return JoinedParts(xyz[first], triangles, first, some, own, complete)
 
 
 def names_of(xy: F64) -> C128:

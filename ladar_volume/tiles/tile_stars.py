@@ -3,7 +3,7 @@
 A triangle of some of the points is one of the whole where no other point lies within its
 circumcircle or on it, and a hull edge where none lies beyond: this is asked of every tile that the
 circle or the half plane reaches. Points that speak against a triangle are added, one for each
-triangle and tile at a time, and the tile is triangulated again, until none is left. Points that
+triangle and tile at a time, and inserted into the triangulation, until none is left. Points that
 share a circle are all added, and the diagonals among them follow from the points alone
 (``triangle_table.tie_flip``): the result is that of the whole triangulation, whatever the tiles.
 """
@@ -18,12 +18,13 @@ from typing import Protocol
 
 import numpy as np
 
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_places import off_hull
 from ladar_volume.tiles.tile_store import CloudParts, Tile
-from ladar_volume.tin.full_tin import any_corner, build_tin, first_corners
+from ladar_volume.tin.delaunay import GrowingTriangulation
+from ladar_volume.tin.full_tin import any_corner, first_corners, tin_of
 from ladar_volume.tin.predicates import incircle, orientation, workspace
 
 #: First halo, in mean distances of the tile's points.
@@ -46,7 +47,7 @@ class TileStars:
     there · shared : (n,) how many points · own : (n,) which vertices lie in the tile · star : (m,)
     triangles that meet one of them, all of them final · counted : (m,) of these, those whose first
     vertex (by x, then y) lies in the tile: each triangle of the whole is counted in one tile ·
-    rounds : how often it was triangulated
+    rounds : how often its triangles were looked at
     """
 
     tin: Tin
@@ -113,32 +114,76 @@ class OpenSides:
     ends: F64
 
 
+@leaf_kernel
+def circle_box(corners: F64, out: F64) -> None:
+    """The box (4,) m that holds the circumcircle of a triangle (3, 2); NaN for a flat one."""
+    ax, ay = corners[0, 0], corners[0, 1]
+    ux, uy, vx, vy = (
+        corners[1, 0] - ax,
+        corners[1, 1] - ay,
+        corners[2, 0] - ax,
+        corners[2, 1] - ay,
+    )
+    twice = ux * vy - uy * vx
+    uu, vv = ux * ux + uy * uy, vx * vx + vy * vy
+    ww = (ux - vx) ** 2 + (uy - vy) ** 2
+    if not twice > FLAT * max(max(uu, vv), ww):
+        out[:] = np.nan
+        return
+    x, y = 0.5 * (vy * uu - uy * vv) / twice, 0.5 * (ux * vv - vx * uu) / twice
+    size = 0.0
+    for k in range(3):
+        size = max(size, max(abs(corners[k, 0]), abs(corners[k, 1])))
+    r = np.sqrt(x * x + y * y) * (1.0 + MARGIN) + 1e-12 * size
+    out[0], out[1], out[2], out[3] = ax + x - r, ay + y - r, ax + x + r, ay + y + r
+
+
 @kernel
 def circle_boxes(corners: F64) -> F64:
     """Boxes (m, 4) m that hold the circumcircles of triangles (m, 3, 2); NaN for flat ones."""
     out = np.empty((len(corners), 4))
     for t in range(len(corners)):
-        ax, ay = corners[t, 0, 0], corners[t, 0, 1]
-        ux, uy, vx, vy = (
-            corners[t, 1, 0] - ax,
-            corners[t, 1, 1] - ay,
-            corners[t, 2, 0] - ax,
-            corners[t, 2, 1] - ay,
-        )
-        twice = ux * vy - uy * vx
-        uu, vv = ux * ux + uy * uy, vx * vx + vy * vy
-        ww = (ux - vx) ** 2 + (uy - vy) ** 2
-        if not twice > FLAT * max(max(uu, vv), ww):
-            out[t] = np.nan
-            continue
-        x, y = 0.5 * (vy * uu - uy * vv) / twice, 0.5 * (ux * vv - vx * uu) / twice
-        size = 0.0
-        for k in range(3):
-            size = max(size, max(abs(corners[t, k, 0]), abs(corners[t, k, 1])))
-        r = np.sqrt(x * x + y * y) * (1.0 + MARGIN) + 1e-12 * size
-        out[t, 0], out[t, 1] = ax + x - r, ay + y - r
-        out[t, 2], out[t, 3] = ax + x + r, ay + y + r
+        circle_box(corners[t], out[t])
     return out
+
+
+@kernel
+def open_kernel(
+    xy: F64, corners: tuple[I32, I32], star: Bool, own: Bool, safe: Box
+) -> tuple[F64, F64, F64]:
+    """See :func:`open_sides`, hull edges without regard to the hull of all. corners : triangles and
+    neighbours (m, 3) over xy (n, 2)
+    """
+    triangles, neighbours = corners
+    x0, y0, x1, y1 = safe
+    m = len(triangles)
+    rows, edges = np.empty(m, np.int32), np.empty((m + 2, 2), np.int32)
+    at, box, r, e = np.empty((3, 2)), np.empty(4), 0, 0
+    for t in range(m):
+        if not star[t]:
+            continue
+        for k in range(3):
+            at[k, 0], at[k, 1] = xy[triangles[t, k], 0], xy[triangles[t, k], 1]
+            a, b = triangles[t, (k + 1) % 3], triangles[t, (k + 2) % 3]
+            if neighbours[t, k] < 0 and (own[a] or own[b]):
+                edges[e, 0], edges[e, 1] = a, b
+                e += 1
+        circle_box(at, box)
+        if not (box[0] > x0 and box[1] > y0 and box[2] < x1 and box[3] < y1):
+            rows[r] = t
+            r += 1
+    found, reach, ends = np.empty((r, 3, 2)), np.empty((r, 4)), np.empty((e, 2, 2))
+    for i in range(r):
+        for k in range(3):
+            found[i, k, 0], found[i, k, 1] = (
+                xy[triangles[rows[i], k], 0],
+                xy[triangles[rows[i], k], 1],
+            )
+        circle_box(found[i], reach[i])
+    for i in range(e):
+        for k in range(2):
+            ends[i, k, 0], ends[i, k, 1] = xy[edges[i, k], 0], xy[edges[i, k], 1]
+    return found, reach, ends
 
 
 def meets(corners: F64, box: Box) -> bool:
@@ -159,19 +204,9 @@ def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box, whole: F64) -> OpenSi
     the triangulation, and the hull edges at the tile's own vertices (n,) that the hull of all
     points, whose corners are ``whole`` (h, 2), reaches beyond.
     """
-    xy, triangles = tin.vertices[:, :2], tin.triangles[star]
-    corners = xy[triangles]
-    reach = circle_boxes(corners)
-    x0, y0, x1, y1 = safe
-    inside = (reach[:, 0] > x0) & (reach[:, 1] > y0) & (reach[:, 2] < x1) & (reach[:, 3] < y1)
-    beyond = tin.neighbours[star]
-    ends = [
-        np.stack([triangles[:, (k + 1) % 3], triangles[:, (k + 2) % 3]], axis=1)[beyond[:, k] < 0]
-        for k in range(3)
-    ]
-    hull = np.concatenate(ends)
-    sides = np.ascontiguousarray(xy[hull[own[hull].any(axis=1)]])
-    return OpenSides(corners[~inside], reach[~inside], sides[off_hull(sides, whole)])
+    corners = tin.triangles, tin.neighbours
+    found, reach, ends = open_kernel(tin.vertices, corners, star, own, safe)
+    return OpenSides(found, reach, ends[off_hull(ends, whole)])
 
 
 def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
@@ -236,7 +271,7 @@ class Neighbourhood:
         self.others = sorted(t for t in index.box if t != tile)
         self.boxes = np.array([index.box[t] for t in self.others]).reshape(-1, 4)
         self.rows: dict[Tile, Bool] = {}
-        self.taken: dict[Tile, F64] = {}
+        self.taken: list[F64] = []
         self.read: dict[Tile, F64] = {}
 
     def places(self, tile: Tile) -> F64:
@@ -263,7 +298,7 @@ class Neighbourhood:
         rows = rows[~known[rows]]
         if len(rows):
             known[rows] = True
-            self.taken[tile] = points[known]
+            self.taken.append(points[rows])
         return len(rows)
 
     def take_halo(self) -> None:
@@ -299,6 +334,18 @@ class Neighbourhood:
         return 0
 
 
+def begun(own: F64, around: Neighbourhood) -> GrowingTriangulation:
+    """The points of a tile (k, 3) and those taken, triangulated; where all lie on one line, or are
+    too few, more are taken. Raises :class:`SurfaceError` where there are none.
+    """
+    while True:
+        try:
+            return GrowingTriangulation(np.concatenate([own, *around.taken])[:, :2])
+        except SurfaceError:
+            if around.take_nearest() == 0:
+                raise
+
+
 def tile_stars(index: TilePoints, tile: Tile) -> TileStars:
     """The final triangles round the points of a tile. Raises :class:`SurfaceError` where the whole
     cloud has fewer than three points off one line.
@@ -306,23 +353,19 @@ def tile_stars(index: TilePoints, tile: Tile) -> TileStars:
     own = index.places(tile)
     around = Neighbourhood(index, tile, len(own))
     around.take_halo()
-    rounds = 0
+    grown, rounds = begun(own, around), 0
     while True:
         rounds += 1
-        others = [around.taken[t] for t in sorted(around.taken)]
-        try:
-            known = np.concatenate([own, *others])
-            tin = build_tin(known[:, :3])
-        except SurfaceError:
-            if around.take_nearest() == 0:
-                raise
-            continue
+        known = np.concatenate([own, *around.taken])
+        tin = tin_of(np.ascontiguousarray(known[:, :3]), grown.triangulation())
         mine = tin.source < len(own)
         star: Bool = np.asarray(any_corner(tin.triangles, mine))
+        before = len(around.taken)
         if around.take_against(open_sides(tin, star, mine, around.safe_box, index.hull)) == 0:
             break
         if around.halo < around.side:
             around.halo = min(2.0 * around.halo, around.side)
             around.take_halo()
+        grown.add(np.concatenate(around.taken[before:])[:, :2])
     first = first_corners(tin.vertices, tin.triangles)
     return TileStars(tin, known[tin.source, 3], mine, star, mine[first], rounds)

@@ -9,19 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import InputError
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.array_file import ENDING, Array, at_rest, read_arrays, write_arrays
 from ladar_volume.tiles.tile_stars import TileStars, tile_stars
 from ladar_volume.tiles.tile_store import Tile, TileIndex, arrays_at_rest, digest
-from ladar_volume.tin.full_tin import corners_of, places_in
+from ladar_volume.tin.full_tin import corners_of, places_in, vertex_mask
 from ladar_volume.tin.relevant import relevant_triangles
 
 #: Across a side of a triangle lies one of another tile, or the hull: this tile does not know.
 UNKNOWN = -2
-#: Arrays of its triangles, of its own vertices, and of what counts of both.
+#: Arrays of its triangles, of its vertices, the tile's own first, and of what counts of both.
 ARRAYS = ("vertices", "triangles", "neighbours", "row")
-USED = ("used_xyz", "used_shared", "used_row")
+OWN = ("vertices", "shared", "row", "own")
 COUNTS = ("relevant", "bridged", "used")
 
 
@@ -62,9 +63,7 @@ class TileSurface:
     @property
     def used(self) -> Bool:
         """The tile's own vertices (n,) of triangles that count."""
-        out = np.zeros(len(self.own), np.bool_)
-        out[self.tin.triangles[self.tin.relevant]] = True
-        return out & self.own
+        return np.asarray(vertex_mask(self.tin, self.tin.relevant) & self.own)
 
 
 def surface_folder(index: TileIndex, limits: Limits) -> Path:
@@ -110,7 +109,7 @@ def write_surface(path: Path, made: TileSurface) -> None:
         "counted": made.counted,
         "counts": np.array([made.points, made.rounds]),
     }
-    write_arrays(path, arrays | dict(zip(USED, of_used(made), strict=True)))
+    write_arrays(path, arrays)
 
 
 def counts_path(index: TileIndex, limits: Limits, tile: Tile) -> Path:
@@ -146,18 +145,15 @@ def counted_of(surface: TileSurface, relevant: Bool, bridged: Bool) -> tuple[Boo
     return relevant, bridged & relevant, used
 
 
-def of_used(made: TileSurface) -> tuple[F64, F64, I64]:
-    """Of the tile's own vertices that count: places (k, 3) m, points at each (k,), rows (k,)."""
-    used = made.used
-    return made.tin.vertices[used], made.shared[used], made.row[used]
-
-
 def used_of(index: TileIndex, limits: Limits, tile: Tile) -> tuple[F64, F64, I64]:
-    """:func:`of_used` of the surface of a tile at rest."""
+    """Of the tile's own vertices that count: places (k, 3) m, points at each (k,), rows (k,)."""
     try:
-        xyz, shared, row = read_arrays(surface_path(index, tile), USED).values()
+        xyz, shared, row, own = read_arrays(surface_path(index, tile), OWN).values()
     except InputError:
-        xyz, shared, row = of_used(surface_of(index, EVERY, tile))
+        made = surface_of(index, EVERY, tile)
+        xyz, shared, row, own = made.tin.vertices, made.shared, made.row, made.own
+    k = int(np.count_nonzero(own))  # they come first, and each is a corner of a triangle
+    xyz, shared, row = xyz[:k], shared[:k], row[:k]
     if limits == EVERY:
         return xyz, shared, row
     used = counts_of(index, limits, tile)[2]
@@ -172,19 +168,38 @@ def make_surface(index: TileIndex, tile: Tile) -> TileSurface:
     return part_of_tile(stars, row, index.count[tile])
 
 
+@kernel
+def star_kernel(
+    triangles: I32, neighbours: I32, number: I32, place: I32, own: Bool
+) -> tuple[I32, I32]:
+    """Triangles and what lies across their sides (k, 3): of those with a number (m,), -1 for none,
+    over vertices at new places (n,). Across a side of other tiles' vertices there may be more.
+    """
+    k = int(number.max()) + 1 if len(number) else 0
+    out, across = np.empty((k, 3), np.int32), np.empty((k, 3), np.int32)
+    for t in range(len(triangles)):
+        i = number[t]
+        if i < 0:
+            continue
+        for c in range(3):
+            a, b = triangles[t, (c + 1) % 3], triangles[t, (c + 2) % 3]
+            beyond = neighbours[t, c]
+            out[i, c], across[i, c] = place[triangles[t, c]], UNKNOWN
+            if beyond >= 0 and number[beyond] >= 0:
+                across[i, c] = number[beyond]
+            elif beyond < 0 and (own[a] or own[b]):
+                across[i, c] = -1
+    return out, across
+
+
 def part_of_tile(stars: TileStars, row: I64, points: int) -> TileSurface:
     """The triangles that meet a tile's vertices, and their corners, numbered anew."""
     tin, star = stars.tin, stars.star
     corners = corners_of(tin.triangles[star], len(tin.vertices))
-    number = np.full(len(star) + 1, UNKNOWN, np.int32)
-    number[np.flatnonzero(star)] = np.arange(np.count_nonzero(star))
-    number[-1] = -1  # the hull
-    triangles = places_in(corners, len(tin.vertices))[tin.triangles[star]]
-    across, own = number[tin.neighbours[star]], stars.own[corners]
-    for k in range(3):  # beyond a side of other tiles' vertices there may be more
-        at = ~own[triangles[:, (k + 1) % 3]] & ~own[triangles[:, (k + 2) % 3]]
-        across[at & (across[:, k] == -1), k] = UNKNOWN
-    every = np.ones(len(triangles), np.bool_)
+    number = places_in(np.flatnonzero(star), len(star))
+    place = places_in(corners, len(tin.vertices))
+    triangles, across = star_kernel(tin.triangles, tin.neighbours, number, place, stars.own)
+    own, every = stars.own[corners], np.ones(len(triangles), np.bool_)
     small = Tin(tin.vertices[corners], triangles, across, every, row[corners])
     return TileSurface(
         small,

@@ -17,6 +17,7 @@ from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.tin.insertion_order import insertion_order
 from ladar_volume.tin.predicates import COUNTS, incircle, workspace
 from ladar_volume.tin.triangle_table import (
+    MeshTable,
     export,
     first_triangle,
     insert_kernel,
@@ -207,6 +208,74 @@ def finite(values: F64) -> F64:
     return values
 
 
+@dataclass
+class Insertion:
+    """Points that have been inserted, in the order of that. order : (n,) their indices · same :
+    (n,) the earlier place of each one's position, or its own · table : their triangles, of which
+    the first ``size`` rows are in use · hint : a real triangle · w : workspace of the predicates
+    """
+
+    order: I32
+    same: I32
+    table: MeshTable
+    size: int
+    hint: int
+    w: F64
+
+    @classmethod
+    def of(cls, xy: F64) -> tuple[Insertion, F64]:
+        """All points xy (n, 2), and these in the order of insertion; raises as
+        :func:`triangulate`.
+        """
+        xy = finite(np.asarray(xy, dtype=np.float64))
+        n, w = len(xy), workspace()
+        order = insertion_sequence(xy, w)
+        s = xy[order]
+        m, same = triangle_table(n), np.empty(n, np.int32)
+        first_triangle(s, m, 0, 1, 2, w)
+        same[:3] = 0, 1, 2
+        return cls(order, same, m, *insert_kernel(s, m, 4, 0, 3, same, w), w), s
+
+    def triangulation(self) -> Triangulation:
+        """The triangulation of the points so far; more may be inserted after it."""
+        name = first_names(self.order, self.same)
+        triangles, neighbours = export(self.table[: self.size], name)
+        return Triangulation(
+            triangles,
+            neighbours,
+            original_order(self.order, self.same, name),
+            int(self.w[COUNTS, 0]),
+            int(self.w[COUNTS, 1]),
+        )
+
+
+class GrowingTriangulation:
+    """:func:`triangulate` of points that are not all known at once: what is added is inserted into
+    what there is, and the triangles are those of all points in one call.
+    """
+
+    def __init__(self, xy: F64) -> None:
+        """xy : (n, 2) the first points. Raises as :func:`triangulate`."""
+        self._so_far, self._xy = Insertion.of(xy)
+
+    def add(self, xy: F64) -> None:
+        """Insert points (k, 2), which follow those so far. Raises :class:`SurfaceError` for
+        coordinates that are not finite.
+        """
+        old, more = self._so_far, finite(np.asarray(xy, dtype=np.float64))
+        n, order = len(old.order), insertion_order(more)
+        s = np.concatenate([self._xy, more[order]])
+        table, same = triangle_table(len(s)), np.empty(len(s), np.int32)
+        table[: old.size], same[:n] = old.table[: old.size], old.same
+        size, hint = insert_kernel(s, table, old.size, old.hint, n, same, old.w)
+        every = np.concatenate([old.order, order + np.int32(n)])
+        self._so_far, self._xy = Insertion(every, same, table, size, hint, old.w), s
+
+    def triangulation(self) -> Triangulation:
+        """That of the points so far."""
+        return self._so_far.triangulation()
+
+
 def triangulate(xy: F64) -> Triangulation:
     """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit)
     become one vertex.
@@ -215,24 +284,7 @@ def triangulate(xy: F64) -> Triangulation:
     triangles depend on the points alone, in any order. Raises :class:`SurfaceError` for coordinates
     that are not finite, fewer than three distinct points, or when all are collinear.
     """
-    xy = finite(np.asarray(xy, dtype=np.float64))
-    n, w = len(xy), workspace()
-    order = insertion_sequence(xy, w)
-    s = xy[order]
-    m, same = triangle_table(n), np.empty(n, np.int32)
-    first_triangle(s, m, 0, 1, 2, w)
-    same[:3] = 0, 1, 2
-    size, _ = insert_kernel(s, m, 4, 0, 3, same, w)
-    del s
-    name = first_names(order, same)
-    triangles, neighbours = export(m[:size], name)
-    return Triangulation(
-        triangles,
-        neighbours,
-        original_order(order, same, name),
-        int(w[COUNTS, 0]),
-        int(w[COUNTS, 1]),
-    )
+    return Insertion.of(xy)[0].triangulation()
 
 
 @kernel

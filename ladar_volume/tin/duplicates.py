@@ -9,6 +9,9 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 
+#: How far a point is moved at most among others with the same x, before all are sorted anew.
+LONG = 200
+
 
 @kernel
 def cell_bucket(ix: float, iy: float, mask: int) -> int:
@@ -76,14 +79,49 @@ def places(points: F64) -> F64:
 
 def places_and_rows(points: F64, rows: I64) -> tuple[F64, I64]:
     """:func:`places`, and the least of the rows (n,) of the points at each."""
-    order = np.lexsort(points.T[::-1])
-    r, rows = points[order] + 0.0, rows[order]  # no signed zeros
-    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
-    at_place = np.minimum.reduceat(rows, first) if len(r) else rows
-    distinct = np.r_[True, (np.diff(r, axis=0) != 0).any(axis=1)][: len(r)]
-    r = r[distinct]
-    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
-    count = np.diff(np.r_[first, len(r)])
-    height = np.add.reduceat(r[:, 2], first) / count if len(r) else r[:, 2]
-    height = np.where(count > 1, height, r[first, 2])
-    return np.column_stack([r[first, :2], height, count]), at_place
+    order = np.argsort(points[:, 0])
+    if not order_runs(points, order):
+        order = np.lexsort(points.T[::-1])
+    return place_kernel(points, rows, order)
+
+
+@kernel
+def order_runs(points: F64, order: I64) -> bool:
+    """Bring points (n, 3) that an order (n,) has by x into that by y, then z, where x is the same;
+    False where they are so many that this takes long, and are better sorted by other means.
+    """
+    for i in range(1, len(order)):
+        p, k = order[i], i
+        while k > 0:
+            q = order[k - 1]
+            if points[q, 0] != points[p, 0] or points[q, 1] < points[p, 1]:
+                break
+            if points[q, 1] == points[p, 1] and points[q, 2] <= points[p, 2]:
+                break
+            if i - k >= LONG:
+                return False
+            order[k] = q
+            k -= 1
+        order[k] = p
+    return True
+
+
+@kernel
+def place_kernel(points: F64, rows: I64, order: I64) -> tuple[F64, I64]:
+    """See :func:`places_and_rows`, of points in their order (n,) by x, y, z."""
+    n, k = len(points), -1
+    out, least = np.empty((n, 4)), np.empty(n, np.int64)
+    before = np.full(3, np.nan)
+    for i in order:
+        x, y, z = points[i, 0] + 0.0, points[i, 1] + 0.0, points[i, 2] + 0.0  # no signed zeros
+        if x != before[0] or y != before[1]:
+            k += 1
+            out[k, 0], out[k, 1], out[k, 2], out[k, 3], least[k] = x, y, z, 1.0, rows[i]
+        else:
+            least[k] = min(least[k], rows[i])
+            if z != before[2]:
+                out[k, 2], out[k, 3] = out[k, 2] + z, out[k, 3] + 1.0
+        before[0], before[1], before[2] = x, y, z
+    for j in range(k + 1):
+        out[j, 2] /= out[j, 3]
+    return out[: k + 1].copy(), least[: k + 1].copy()

@@ -9,7 +9,7 @@ import numpy as np
 from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.delaunay import finite_points, triangulate
+from ladar_volume.tin.delaunay import Triangulation, finite_points, triangulate
 from ladar_volume.tin.triangle_table import precedes
 
 
@@ -22,7 +22,11 @@ def build_tin(points_map: F64) -> Tin:
     point is a vertex these are the points given, not a copy.
     """
     points = finite_points(points_map)
-    out = triangulate(points[:, :2])
+    return tin_of(points, triangulate(points[:, :2]))
+
+
+def tin_of(points: F64, out: Triangulation) -> Tin:
+    """The TIN of points (n, 3), m, that were triangulated."""
     source, triangles = out.vertices, out.triangles
     if len(source) < len(points):
         triangles = places_in(source, len(points))[triangles]

@@ -9,6 +9,7 @@ from ladar_volume.tiles.joined_triangles import distinct_triangles
 from ladar_volume.tiles.tile_fit import blocks_of
 from ladar_volume.tiles.tile_stars import FLAT, MARGIN, circle_boxes
 from ladar_volume.tiles.unseen.tile_spacing import distinct_cells, first_of_cells
+from ladar_volume.tiles.unseen.tiled_layers import first_at
 from ladar_volume.tin.full_tin import across_sides, build_tin, corners_of
 
 
@@ -119,3 +120,11 @@ def test_middles_do_not_depend_on_the_order_of_corners():
     assert np.array_equal(found, np.sort(corners, axis=1).mean(axis=1))
     for order in ([1, 2, 0], [2, 1, 0]):
         assert np.array_equal(middles_of(np.ascontiguousarray(corners[:, order])), found)
+
+
+def test_the_first_point_of_the_file_at_each_place():
+    rng = np.random.default_rng(4)
+    points = np.round(rng.uniform(0.0, 3.0, (500, 3)), 1)  # many with one x, some at one place
+    own = points[rng.permutation(500)[:60]]
+    plain = [next(k for k, p in enumerate(points) if tuple(p[:2]) == tuple(at[:2])) for at in own]
+    assert first_at(points, own).tolist() == plain

@@ -22,7 +22,7 @@ from ladar_volume.tiles.array_file import read_arrays, write_arrays
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_patch import patch_of
 from ladar_volume.tiles.tile_store import parts_of_file, tile_index
-from ladar_volume.tiles.tile_surface import Limits, surface_of, surface_path
+from ladar_volume.tiles.tile_surface import Limits, surface_of, surface_path, used_of
 from ladar_volume.volume.neighbourhood import grow_kernel
 
 
@@ -43,6 +43,18 @@ def test_a_plane_and_a_longest_edge(tmp_path):
     _, whole = at_once(path, "edge", 1.5, base="plane", plane=(9.0, 0.02, 0.01))
     asked = {"limits": Limits("edge", max_edge_m=1.5), "base": "plane", "plane": (9.0, 0.02, 0.01)}
     same(by_tiles(path, tmp_path / "store", 11.0, **asked).volume, whole)
+
+
+def test_the_own_vertices_of_a_surface_come_first_and_are_corners(tmp_path):
+    path = write(tmp_path / "cloud.las", random(3_000, np.random.default_rng(8)))
+    of = TiledCloud(by_tiles(path, tmp_path / "store", 20.0).index, Limits())
+    for tile in of.tiles:
+        s = surface_of(of.index, of.limits, tile)
+        own = int(np.count_nonzero(s.own))
+        assert s.own[:own].all() and np.array_equal(s.used, s.own)
+        xyz, shared, row = used_of(of.index, of.limits, tile)
+        assert np.array_equal(xyz, s.tin.vertices[s.used])
+        assert np.array_equal(shared, s.shared[s.used]) and np.array_equal(row, s.row[s.used])
 
 
 def test_the_surface_around_a_tile_is_that_of_all_points_and_no_larger_than_it_must_be(tmp_path):

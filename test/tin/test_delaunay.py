@@ -14,6 +14,7 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.tin import predicates
 from ladar_volume.tin import triangle_table as mesh_table
 from ladar_volume.tin.delaunay import (
+    GrowingTriangulation,
     check_hull_kernel,
     check_kernel,
     delaunay,
@@ -369,3 +370,38 @@ def test_insertion_order_is_a_permutation_along_a_curve():
     grid = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2) * 4369.0
     walk = grid[hilbert_order(grid)]
     assert set(np.abs(np.diff(walk, axis=0)).sum(axis=1).tolist()) == {4369.0}
+
+
+@pytest.mark.parametrize("kind", ["scattered", "lattice", "with copies", "one by one"])
+def test_points_that_are_added_later_give_the_same_triangles(kind):
+    rng = np.random.default_rng(11)
+    xy = rng.uniform(-3.0, 3.0, (600, 2))
+    if kind == "lattice":  # all on circles with others
+        xy = np.stack(np.meshgrid(np.arange(25.0), np.arange(24.0)), axis=-1).reshape(-1, 2)
+        xy = rng.permutation(xy)
+    if kind == "with copies":
+        xy[400:500] = xy[:100]
+    cuts = [590 + k for k in range(10)] if kind == "one by one" else [40, 41, 300, 450]
+    first, *more = np.split(xy, cuts)
+    grown, n = GrowingTriangulation(first), len(first)
+    for part in more:
+        found = grown.triangulation()  # asked for in between, it does not disturb
+        assert is_valid(xy[found.vertices], *compact(found))
+        grown.add(part)
+        n += len(part)
+    found, whole = grown.triangulation(), triangulate(xy)
+    assert n == len(xy) and np.array_equal(found.same, whole.same)
+    assert as_set(found.triangles) == as_set(whole.triangles)
+    assert is_valid(xy[found.vertices], *compact(found))
+
+
+def compact(found):
+    """Triangles numbered by the vertices in use, and neighbours."""
+    return np.searchsorted(found.vertices, found.triangles), found.neighbours
+
+
+def test_added_points_must_be_numbers():
+    grown = GrowingTriangulation(np.eye(3)[:, :2])
+    with pytest.raises(SurfaceError) as caught:
+        grown.add(np.array([[0.0, np.nan]]))
+    assert caught.value.reason == "surface_not_finite"

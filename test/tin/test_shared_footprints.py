@@ -8,6 +8,7 @@ import pytest
 from ladar_volume.model.records import F64
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adjustment_adjoint import height_covariance
+from ladar_volume.tin.duplicates import places_and_rows
 from ladar_volume.tin.elevation_adjustment import (
     adjust_rms,
     fit_of,
@@ -62,3 +63,31 @@ def test_a_surface_of_points_with_one_footprint_each_has_measures_of_zero() -> N
     alone = represent(points[:20], SurfaceParameters(ratio=1.0, relevant="all"), sigma[:20])
     assert made.rms_m > 0.0 and made.fit_count == len(points)
     assert (alone.rms_m, alone.fit_count) == (0.0, 20)
+
+
+def footprints(points: F64, rows: list[int]) -> list[list[float]]:
+    """x, y, mean height, number of distinct heights, least row of each footprint, by hand."""
+    heights: dict[tuple[float, float], set[float]] = {}
+    first: dict[tuple[float, float], int] = {}
+    for (x, y, z), row in zip(points.tolist(), rows, strict=True):
+        heights.setdefault((x, y), set()).add(z)
+        first[x, y] = min(row, first.get((x, y), row))
+    return [[*at, sum(z) / len(z), len(z), first[at]] for at, z in sorted(heights.items())]
+
+
+@pytest.mark.parametrize("kind", ["scattered", "ticks", "one line", "few", "none"])
+def test_footprints_are_told_with_their_mean_height(kind: str) -> None:
+    """Also where so many points share an x that they are sorted in another way."""
+    rng = np.random.default_rng(3)
+    n = {"few": 1, "none": 0}.get(kind, 900)
+    points = rng.normal(size=(n, 3))
+    if kind != "scattered":
+        points = np.round(points, 1) + 0.0 * points  # with signed zeros
+    if kind == "one line":
+        points[:, 0] = 7.0
+    rows = rng.permutation(2 * n)[:n]
+    found, least = places_and_rows(points, rows)
+    expected = footprints(points, rows.tolist())
+    assert np.column_stack([found, least]) == pytest.approx(np.reshape(expected, (-1, 5)))
+    assert not np.signbit(found[found == 0.0]).any()
+    assert kind != "ticks" or (found[:, 3] > 1).any()

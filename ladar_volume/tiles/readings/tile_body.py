@@ -80,7 +80,7 @@ def gathered(of: TiledCloud, region: Region | None, tiles: Sequence[Tile]) -> tu
         parts.append(part_round(s, inside, marked))
         xy.append(s.tin.vertices[s.own])
         rows.append(s.row[s.own])
-    patch, _ = joined(parts)
+    patch = joined(parts).patch(parts)
     tin = dataclasses.replace(patch.tin, relevant=patch.relevant)
     return in_order_of_file(tin, np.concatenate(xy), np.concatenate(rows)), patch.inside
 

@@ -206,8 +206,7 @@ def coarser_around(kept: KeptPoints, tiles: list[Tile]) -> tuple[Tin, F64]:
         none, every = np.zeros(len(one.vertices), np.bool_), np.ones(len(one.triangles), np.bool_)
         zero = none.astype(np.float64)
         parts.append(SurfacePart(one.vertices, one.triangles, zero, none, ~every, every, every))
-    patch, _ = joined(parts)
-    return patch.tin, np.concatenate([one.hull for one in found])
+    return joined(parts).patch(parts).tin, np.concatenate([one.hull for one in found])
 
 
 def beyond_hull(xy: F64, sides: F64) -> Bool:

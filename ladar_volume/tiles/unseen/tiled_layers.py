@@ -17,7 +17,7 @@ from ladar_volume.tiles import tile_fit
 from ladar_volume.tiles.tile_batches import TiledCloud, ask
 from ladar_volume.tiles.tile_fit import VertexSelection
 from ladar_volume.tiles.tile_outline import Box
-from ladar_volume.tiles.tile_patch import in_box, tiles_in
+from ladar_volume.tiles.tile_patch import in_box, names_of, tiles_in
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tiled_ground import GroundFitter
 
@@ -99,8 +99,11 @@ def distinct_in_box(index: TileIndex, box: Box) -> F64:
 
 def first_at(points: F64, own: F64) -> I64:
     """The first of points (n, 3) at each of the places (m, 3), by row."""
-    order = np.lexsort((points[:, 1], points[:, 0]))
-    names = np.ascontiguousarray(points[order, :2]).view(np.complex128).reshape(-1)
-    asked = np.ascontiguousarray(own[:, :2]).view(np.complex128).reshape(-1)
+    x = np.unique(own[:, 0])
+    some = np.flatnonzero(
+        x[np.minimum(np.searchsorted(x, points[:, 0]), len(x) - 1)] == points[:, 0]
+    )
+    order = some[np.lexsort((points[some, 1], points[some, 0]))]
+    asked, names = names_of(own), names_of(points[order])
     out: I64 = order[np.searchsorted(names, asked)].astype(np.int64)
     return out
