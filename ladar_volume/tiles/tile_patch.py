@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.array_file import read, write
@@ -222,9 +223,21 @@ def rows_at(xy: F64, wanted: F64) -> I64:
     if not len(xy):
         return np.full(len(wanted), -1)
     names, asked = names_of(xy), names_of(wanted)
-    order = np.argsort(names, kind="stable")
-    at = order[np.minimum(np.searchsorted(names[order], asked), len(order) - 1)]
+    if ascending(xy):  # as the vertices of one tile are
+        at = np.minimum(np.searchsorted(names, asked), len(names) - 1)
+    else:
+        order = np.argsort(names, kind="stable")
+        at = order[np.minimum(np.searchsorted(names[order], asked), len(order) - 1)]
     return np.where(names[at] == asked, at, -1)
+
+
+@kernel
+def ascending(xy: F64) -> bool:
+    """Whether places (n, 2) come by x, then y."""
+    for i in range(1, len(xy)):
+        if not (xy[i - 1, 0] < xy[i, 0] or (xy[i - 1, 0] == xy[i, 0] and xy[i - 1, 1] <= xy[i, 1])):
+            return False
+    return True
 
 
 def write_shares(

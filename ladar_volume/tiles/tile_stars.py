@@ -60,7 +60,7 @@ class TileStars:
 
 @kernel
 def circle_intruders(corners: F64, reach: F64, points: F64, known: Bool, w: F64) -> I64:
-    """For each triangle, corners (m, 3, 2) counter-clockwise, the point (k, 2), ascending by x,
+    """For each triangle, corners (m, 3, 2) counter-clockwise, the point (k, 4), ascending by x,
     that lies deepest in its circumcircle or on it, known ones (k,) left aside: (m,), -1 for none.
     reach : (m, 4) the box of each circle, NaN where that is not known
     """
@@ -76,7 +76,7 @@ def circle_intruders(corners: F64, reach: F64, points: F64, known: Bool, w: F64)
                 break
             if known[p] or points[p, 1] < y0 or points[p, 1] > y1:
                 continue
-            xy[3] = points[p]
+            xy[3, 0], xy[3, 1] = points[p, 0], points[p, 1]
             depth = incircle(xy, 0, 1, 2, 3, w)
             if depth >= 0.0 and depth > most:
                 most, out[t] = depth, p
@@ -85,7 +85,7 @@ def circle_intruders(corners: F64, reach: F64, points: F64, known: Bool, w: F64)
 
 @kernel
 def hull_intruders(ends: F64, points: F64, known: Bool, w: F64) -> I64:
-    """For each hull edge, ends (m, 2, 2) with the surface to the left, the point (k, 2) beyond it
+    """For each hull edge, ends (m, 2, 2) with the surface to the left, the point (k, 4) beyond it
     that sees it under the widest angle, known ones (k,) left aside: (m,), -1 for none.
     """
     out = np.full(len(ends), -1, np.int64)
@@ -210,18 +210,40 @@ def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box, whole: F64) -> OpenSi
 
 
 def intruders(sides: OpenSides, box: Box, points: F64, known: Bool) -> I64:
-    """Rows of points (k, 3) of a tile, whose box is given, that speak against the open sides."""
+    """Rows of points (k, 4) of a tile, whose box is given, that speak against the open sides."""
     x0, y0, x1, y1 = box
-    r, w, xy = sides.reach, workspace(), np.ascontiguousarray(points[:, :2])
+    r, w = sides.reach, workspace()
     near = (r[:, 0] <= x1) & (r[:, 1] <= y1) & (r[:, 2] >= x0) & (r[:, 3] >= y0)
     flat = np.flatnonzero(np.isnan(r[:, 0]))
     near[flat] = [meets(sides.corners[t], box) for t in flat.tolist()]
-    found = [
-        circle_intruders(sides.corners[near], r[near], xy, known, w),
-        hull_intruders(sides.ends, xy, known, w) if len(sides.ends) else np.zeros(0, np.int64),
-    ]
-    rows = np.unique(np.concatenate(found))
-    return rows[rows >= 0]
+    found = []
+    if near.any():
+        some = rows_reached(points, r[near])
+        deep = circle_intruders(sides.corners[near], r[near], points[some], known[some], w)
+        found.append(some[deep[deep >= 0]])
+    if len(sides.ends):
+        beyond = hull_intruders(sides.ends, points, known, w)
+        found.append(beyond[beyond >= 0])
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
+
+
+@kernel
+def rows_reached(points: F64, reach: F64) -> I64:
+    """The rows (s,) of points (k, 4) in the box around all boxes (m, 4), of which those that are
+    not known (NaN) are everywhere.
+    """
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for t in range(len(reach)):
+        if reach[t, 0] != reach[t, 0]:
+            return np.arange(len(points))
+        x0, y0 = min(x0, reach[t, 0]), min(y0, reach[t, 1])
+        x1, y1 = max(x1, reach[t, 2]), max(y1, reach[t, 3])
+    out, k = np.empty(len(points), np.int64), 0
+    for p in range(len(points)):
+        if x0 <= points[p, 0] <= x1 and y0 <= points[p, 1] <= y1:
+            out[k] = p
+            k += 1
+    return out[:k].copy()
 
 
 def reached(sides: OpenSides, boxes: F64) -> Bool:
