@@ -65,7 +65,7 @@ def open_tile(of: TiledCloud, tile: Tile, task: AreaTask) -> OpenTile:
     area = np.maximum(footprint_areas(tin.vertices, tin.triangles), 0.0)
     found = open_parts(tin, spacing, np.where(surface.counted, area, 0.0), surface.own)
     label = found.number.astype(np.int64)
-    write(task.folder, "open", tile, label)
+    write(task.folder, "open", tile, found.number)
     known = int(np.count_nonzero(np.isfinite(spacing[surface.own])))
     return OpenTile(parts_of(surface, label, found.sums[:, 0]), found.sums, known)
 
@@ -93,7 +93,7 @@ def left_parts(of: TiledCloud, tile: Tile, task: AreaTask, deep: Bool) -> SmallP
     number = np.append(np.where(small, np.cumsum(small) - 1, -1), -1)
     own = number[label]
     write(task.folder, "left", tile, left)
-    write(task.folder, "small", tile, own)
+    write(task.folder, "small", tile, own.astype(np.int32))
     parts = parts_of(surface, own, size[small].astype(np.float64))
     cells = np.floor(parts.corners.reshape(-1, 3, 2) / of.index.cloud.tile_m).astype(np.int64)
     one, two, three = (cells[:, k] for k in range(3))

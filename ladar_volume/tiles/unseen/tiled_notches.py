@@ -62,7 +62,7 @@ def bays(of: TiledCloud, tile: Tile, folder: Path, base: Plane) -> TileParts:
     own = np.flatnonzero(surface.counted & (label >= 0))
     t = tin.triangles[own]
     held = footprint_areas(tin.vertices, t) * height_above(tin.vertices, base)[t].mean(axis=1)
-    write(folder, "bay", tile, label)
+    write(folder, "bay", tile, label.astype(np.int32))
     return parts_of(surface, label, np.bincount(label[own], held, n).astype(np.float64))
 
 
