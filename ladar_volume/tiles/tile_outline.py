@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.ground.heights import height_above
+from ladar_volume.math.own_axes import extent_of
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
@@ -93,7 +94,7 @@ def box_of(xy: F64) -> Box | None:
     """The box of places (k, 2); None for none."""
     if not len(xy):
         return None
-    (x0, y0), (x1, y1) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+    (x0, y0), (x1, y1) = (corner.tolist() for corner in extent_of(xy))
     return x0, y0, x1, y1
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.equal_rows import first_equal
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
@@ -200,8 +201,9 @@ class JoinedParts:
 def joined(parts: Sequence[SurfacePart]) -> JoinedParts:
     """The triangles of parts, the first of which is that of the tile."""
     xyz = np.concatenate([p.vertices for p in parts])
-    _, first, place = np.unique(names_of(xyz), return_index=True, return_inverse=True)
-    place = place.reshape(-1).astype(np.int32)
+    same = first_equal(xyz[:, :2])
+    first = np.flatnonzero(same == np.arange(len(same)))
+    place = places_in(first, len(same))[same]
     start = np.r_[0, np.cumsum([len(p.vertices) for p in parts])].tolist()
     corners = np.concatenate(
         [place[at + p.triangles] for at, p in zip(start[:-1], parts, strict=True)]

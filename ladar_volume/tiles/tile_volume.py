@@ -137,8 +137,8 @@ def squares(
     if chosen is not None:
         some, weight = support_of(of, tile, surface, chosen, by_sums)
         g[some] += weight
-    columns = np.c_[g, g[:, 1] - g[:, 0]]
-    return np.asarray((columns**2 / surface.shared[surface.own, None]).sum(axis=0))
+    shared = surface.shared[surface.own]
+    return np.array([c @ (c / shared) for c in (g[:, 0], g[:, 1], g[:, 1] - g[:, 0])])
 
 
 def support_of(

@@ -6,7 +6,7 @@ import pytest
 from ladar_volume.clouds.between_points import middles_of
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.tiles.joined_triangles import distinct_triangles
-from ladar_volume.tiles.tile_fit import blocks_of
+from ladar_volume.tiles.tile_fit import binned, bins_of, blocks_of
 from ladar_volume.tiles.tile_stars import FLAT, MARGIN, circle_boxes
 from ladar_volume.tiles.unseen.tile_spacing import distinct_cells, first_of_cells
 from ladar_volume.tiles.unseen.tiled_layers import first_at
@@ -128,3 +128,16 @@ def test_the_first_point_of_the_file_at_each_place():
     own = points[rng.permutation(500)[:60]]
     plain = [next(k for k, p in enumerate(points) if tuple(p[:2]) == tuple(at[:2])) for at in own]
     assert first_at(points, own).tolist() == plain
+
+
+@pytest.mark.parametrize("spread", [0.3, 40.0])  # bins near together are counted, others sorted
+def test_values_are_counted_in_bins(spread):
+    rng = np.random.default_rng(7)
+    value = np.exp(rng.normal(0.0, spread, 700))
+    bins, count = binned(None, None, lambda of, tile: np.r_[value, value[:90]])
+    assert np.array_equal(bins, np.unique(bins_of(value)))
+    assert [int(n) for n in count] == [
+        int(np.sum(bins_of(np.r_[value, value[:90]]) == one)) for one in bins
+    ]
+    none, zero = binned(None, None, lambda of, tile: value[:0])
+    assert len(none) == len(zero) == 0

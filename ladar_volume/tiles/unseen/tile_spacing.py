@@ -84,7 +84,7 @@ def extent(of: TiledCloud, tile: Tile, axes: OwnAxes | None) -> F64:
     xy = used_of(of.index, of.limits, tile)[0][:, :2]
     xy = np.ascontiguousarray(xy) if axes is None else axes.along(xy)
     low, high = extent_of(xy)
-    return np.array([len(xy), *xy.sum(axis=0), *low, *high])
+    return np.array([len(xy), xy[:, 0].sum(), xy[:, 1].sum(), *low, *high])
 
 
 def moments(of: TiledCloud, tile: Tile, middle: F64) -> F64:
@@ -127,7 +127,8 @@ def tell_spacings(of: TiledCloud, tile: Tile, rasters: Rasters) -> F64:
     out = []
     for value in np.unique(spacing).tolist():
         some = xy[spacing == value]
-        out.append([value, len(some), *some.min(axis=0), *some.max(axis=0)])
+        low, high = extent_of(some)
+        out.append([value, len(some), *low, *high])
     return np.array(out).reshape(-1, 6)
 
 
@@ -159,7 +160,8 @@ def nearest_to_middles(
     )
     place = (xy[some] - low[number]) / size[:, None] + np.array(shift)
     cell = np.floor(place)
-    off = ((place - cell - 0.5) ** 2).sum(axis=1)
+    x, y = (place - cell - 0.5).T
+    off = x * x + y * y
     name = np.column_stack([number, cell.astype(np.int64)])
     best = first_of_cells(name, off, row[some])
     side, corner = of.index.cloud.tile_m, np.array(tile) * of.index.cloud.tile_m
@@ -174,8 +176,9 @@ def first_of_cells(name: I64, off: F64, row: I64) -> I64:
     """
     if not len(name):
         return np.zeros(0, np.int64)
-    low = name.min(axis=0)
-    wide = name.max(axis=0) - low + 1  # a raster has at most some thousand cells along a side
+    low = np.array([column.min() for column in name.T])
+    # a raster has at most some thousand cells along a side
+    wide = np.array([column.max() for column in name.T]) - low + 1
     key = ((name[:, 0] - low[0]) * wide[1] + name[:, 1] - low[1]) * wide[2] + name[:, 2] - low[2]
     return np.asarray(first_kernel(np.argsort(key), key, off, row))
 

@@ -83,8 +83,9 @@ def segment_distances(p: F64, a: F64, b: F64) -> F64:
 
 def words_of(at: F64, area_m2: float, depth_m: float, held_m3: float) -> Doubt:
     """What to do about a notch."""
+    x, y = np.round(at, 6).tolist()  # on a lattice a middle may lie between two tenths
     words = (
-        f"nothing was measured on {area_m2:.3g} m² about ({at[0]:.1f}, {at[1]:.1f}) m, a notch "
+        f"nothing was measured on {area_m2:.3g} m² about ({x:.1f}, {y:.1f}) m, a notch "
         f"{depth_m:.3g} m deep from the edge of the survey: some {held_m3:.3g} m³ may lie in it "
         "and are not counted; survey it, or draw the outline that counts"
     )
