@@ -7,7 +7,9 @@ from ladar_volume.clouds.between_points import middles_of
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.tiles.joined_triangles import distinct_triangles
 from ladar_volume.tiles.tile_fit import binned, bins_of, blocks_of
-from ladar_volume.tiles.tile_stars import FLAT, MARGIN, circle_boxes
+from ladar_volume.tiles.tile_patch import ascending, rows_at
+from ladar_volume.tiles.tile_stars import FLAT, MARGIN, circle_boxes, open_sides, rows_reached
+from ladar_volume.tiles.tile_surface import UNKNOWN, star_kernel
 from ladar_volume.tiles.unseen.tile_spacing import distinct_cells, first_of_cells
 from ladar_volume.tiles.unseen.tiled_layers import first_at
 from ladar_volume.tin.full_tin import across_sides, build_tin, corners_of
@@ -141,3 +143,74 @@ def test_values_are_counted_in_bins(spread):
     ]
     none, zero = binned(None, None, lambda of, tile: value[:0])
     assert len(none) == len(zero) == 0
+
+
+def half(seed, n=500):
+    """A surface, which of its vertices lie to the left, and the triangles that meet one of them."""
+    tin = build_tin(np.random.default_rng(seed).uniform(0.0, 10.0, (n, 3)))
+    own = tin.vertices[:, 0] < 5.0
+    return tin, own, own[tin.triangles].any(axis=1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_triangles_of_a_tile_know_what_lies_beyond_them(seed):
+    tin, own, star = half(seed)
+    kept = np.flatnonzero(star)
+    corners = np.unique(tin.triangles[star])
+    number, place = np.full(len(star), -1, np.int32), np.full(len(own), -1, np.int32)
+    number[kept], place[corners] = np.arange(len(kept)), np.arange(len(corners))
+    triangles, across = star_kernel(tin.triangles, tin.neighbours, number, place, own)
+    assert np.array_equal(corners[triangles], tin.triangles[kept])
+    for i, t in enumerate(kept):
+        for k in range(3):
+            beyond = tin.neighbours[t, k]
+            sides = own[np.delete(tin.triangles[t], k)].any()
+            expected = (-1 if sides else UNKNOWN) if beyond < 0 else int(number[beyond])
+            assert across[i, k] == (UNKNOWN if beyond >= 0 and expected < 0 else expected)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_open_sides_are_those_whose_circles_leave_the_box_and_the_hull(seed):
+    tin, own, star = half(seed)
+    safe = (-30.0, -30.0, 6.0, 30.0)
+    whole = np.array([[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]])
+    found = open_sides(tin, star, own, safe, whole)
+    corners = tin.vertices[tin.triangles[star]][..., :2]
+    reach = circle_boxes(np.ascontiguousarray(corners))
+    inside = (reach[:, :2] > safe[:2]).all(axis=1) & (reach[:, 2:] < safe[2:]).all(axis=1)
+    assert 0 < inside.sum() < len(inside)
+    assert np.array_equal(found.corners, corners[~inside])
+    assert np.array_equal(found.reach, reach[~inside])
+    sides = [
+        tuple(np.roll(t, -k)[1:])
+        for t, beyond in zip(tin.triangles, tin.neighbours, strict=True)
+        for k in range(3)
+        if beyond[k] < 0 and own[np.roll(t, -k)[1:]].any()
+    ]
+    assert {tuple(map(tuple, e)) for e in found.ends.tolist()} == {
+        tuple(map(tuple, tin.vertices[list(s), :2].tolist())) for s in sides
+    }
+    all_known = open_sides(tin, star, own, safe, tin.vertices[:, :2])
+    assert len(all_known.ends) == 0  # no point lies beyond the hull of all
+
+
+def test_rows_in_the_box_around_all_circles():
+    rng = np.random.default_rng(1)
+    points, reach = rng.uniform(0.0, 10.0, (300, 4)), rng.uniform(2.0, 6.0, (5, 2))
+    reach = np.column_stack([reach, reach + 1.0])
+    low, high = reach[:, :2].min(axis=0), reach[:, 2:].max(axis=0)
+    inside = ((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)
+    assert np.array_equal(rows_reached(points, reach), np.flatnonzero(inside))
+    reach[3] = np.nan  # of a flat triangle: it may reach anywhere
+    assert len(rows_reached(points, reach)) == 300
+
+
+def test_places_in_order_are_told_from_others():
+    xy = np.round(np.random.default_rng(2).uniform(0.0, 2.0, (200, 2)), 1)
+    order = np.lexsort((xy[:, 1], xy[:, 0]))
+    assert ascending(xy[order]) and ascending(xy[:1]) and not ascending(xy)
+    assert not ascending(xy[order][::-1])
+    for places in (xy[order], xy):  # rows are found either way
+        places = places[np.sort(np.unique(places, axis=0, return_index=True)[1])]
+        rows = rows_at(places, np.r_[places[::7], [[9.0, 9.0]]])
+        assert rows.tolist() == [*range(0, len(places), 7), -1]
