@@ -208,7 +208,7 @@ def finite(values: F64) -> F64:
     return values
 
 
-@dataclass
+@dataclass(frozen=True)
 class Insertion:
     """Points that have been inserted, in the order of that. order : (n,) their indices · same :
     (n,) the earlier place of each one's position, or its own · table : their triangles, of which
