@@ -24,8 +24,8 @@ from ladar_volume.tiles.tile_surface import used_of
 
 #: Digits of a number that a bin of the sizes of residuals leaves out, of 52 binary ones.
 COARSE_BITS = 40
-#: Values are counted in a table of all bins between the least and the greatest where it has at most
-#: so many for each.
+#: Values are counted in a table of all bins from the least to the greatest, where these are at most
+#: so many for each value.
 MANY = 20
 
 
@@ -106,14 +106,23 @@ def bins_of(size: F64) -> I64:
     return np.ascontiguousarray(size).view(np.int64) >> COARSE_BITS
 
 
+def counted(bins: I64) -> tuple[I64, I64]:
+    """The distinct ones of bins (n,), ascending, and how often each is there."""
+    low = int(bins.min(initial=np.iinfo(np.int64).max))
+    if len(bins) and int(bins.max()) - low < MANY * len(bins):  # sorting takes ten times as long
+        count = np.bincount(bins - low)
+        some = np.flatnonzero(count)
+        return some + low, count[some]
+    return np.unique(bins, return_counts=True)
+
+
 def spread(of: TiledCloud, tile: Tile, chosen: VertexSelection, beta: F64) -> tuple[F64, I64, I64]:
     """Sum of squared residuals, m², number of those below 0 and sum of their squares, (3,); bins of
     their sizes, and how many there are in each.
     """
     r = residuals(of, tile, chosen, beta)
     below = r[r < 0.0]
-    bins, count = np.unique(bins_of(np.abs(r)), return_counts=True)
-    return np.array([r @ r, len(below), below @ below]), bins, count
+    return np.array([r @ r, len(below), below @ below]), *counted(bins_of(np.abs(r)))
 
 
 def sizes_in(
@@ -195,14 +204,7 @@ def binned(
     of: TiledCloud, tile: Tile, values: Callable[..., F64], *more: object
 ) -> tuple[I64, I64]:
     """Bins of the values (k,) that a tile has, ascending, and how many there are in each."""
-    bins = bins_of(values(of, tile, *more))
-    low = int(bins.min()) if len(bins) else 0
-    if len(bins) and int(bins.max()) - low < MANY * len(bins):  # sorting takes ten times as long
-        count = np.bincount(bins - low)
-        some = np.flatnonzero(count)
-        return some + low, count[some].astype(np.int64)
-    some, count = np.unique(bins, return_counts=True)
-    return some, count.astype(np.int64)
+    return counted(bins_of(values(of, tile, *more)))
 
 
 def values_in(

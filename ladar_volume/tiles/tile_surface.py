@@ -20,7 +20,7 @@ from ladar_volume.tin.relevant import relevant_triangles
 
 #: Across a side of a triangle lies one of another tile, or the hull: this tile does not know.
 UNKNOWN = -2
-#: Arrays of its triangles, of its vertices, the tile's own first, and of what counts of both.
+#: Arrays of the triangles, of the vertices (the tile's own come first), and of what counts.
 ARRAYS = ("vertices", "triangles", "neighbours", "row")
 OWN = ("vertices", "shared", "row", "own")
 COUNTS = ("relevant", "bridged", "used")

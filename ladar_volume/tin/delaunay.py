@@ -210,9 +210,10 @@ def finite(values: F64) -> F64:
 
 @dataclass(frozen=True)
 class Insertion:
-    """Points that have been inserted, in the order of that. order : (n,) their indices · same :
-    (n,) the earlier place of each one's position, or its own · table : their triangles, of which
-    the first ``size`` rows are in use · hint : a real triangle · w : workspace of the predicates
+    """The points inserted so far. order : (n,) their indices, first inserted first · same : (n,)
+    place in that order of the first point at each one's position · table : their triangles, of
+    which the first ``size`` rows are in use · hint : a real triangle · w : workspace of the
+    predicates
     """
 
     order: I32
