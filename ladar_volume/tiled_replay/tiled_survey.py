@@ -12,6 +12,7 @@ import numpy as np
 
 from ladar_volume.georeference.sample_admission import SET_BACK_S
 from ladar_volume.io.drivers.packet_capture import PacketCapture
+from ladar_volume.math.large_arrays import large_arrays_in
 from ladar_volume.model.errors import ConfigurationError, InputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import Datum, Estimate
@@ -27,7 +28,7 @@ from ladar_volume.tiled_replay.time_pieces import (
     georeference_piece,
     pieces_of,
 )
-from ladar_volume.tiled_replay.whole_surface import WholeSurface
+from ladar_volume.tiled_replay.whole_surface import WholeSurface, file_array
 from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_work import Workers, results
 from ladar_volume.version import version
@@ -95,7 +96,8 @@ class TiledReplay:
             replay.losses.merge(Losses(piece.losses))
             replay.engine.georeferencer.mounting_check.merge(np.array(piece.mounting))
         self._tiles(recorded, pieces, progress)
-        return replay.estimate_or_refuse(replay.engine.estimator.estimate)
+        with large_arrays_in(partial(file_array, recorded.folder)):
+            return replay.estimate_or_refuse(replay.engine.estimator.estimate)
 
     def _poses(self) -> str:
         """Take in the poses of the whole recording; returns why it must be georeferenced in one

@@ -1,8 +1,8 @@
 """The surface of all tiles as one table of patches, in files that the system reads as needed.
 
-The estimate of a survey needs every patch, but little of it at a time: cross blocks and
-sensitivities, nine tenths of a patch, are passed once for a result. They lie in files that have no
-name any more, so that they are gone with the process, however it ends.
+The estimate of a survey needs every patch, but little of it at a time: most of a patch, such as
+its cross blocks and sensitivities, is passed once for a result. It lies in files that have no name
+any more, so that they are gone with the process, however it ends.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import unwritable
 from ladar_volume.model.losses import Losses
-from ladar_volume.model.records import I64, FilteredPoints, HeldPatches, Patches
+from ladar_volume.model.records import I64, FilteredPoints, HeldPatches
 from ladar_volume.rmls.tile_filter import TilePatches
 from ladar_volume.tiled_replay.patch_tiles import COUNTS
 from ladar_volume.uncertainty.packing import block_kernel, prepare_patches
@@ -71,13 +71,14 @@ class WholeSurface:
         """
         self._readers, self._folder = readers, folder
         self._made: dict[str, npt.NDArray[Any]] = {}
+        self._points: dict[str, npt.NDArray[Any]] = {}
         self.losses = Losses()
         self.counts = dict.fromkeys((*COUNTS, "patches"), 0)
-        self.points, keys, blocks, bins = self._first_pass()
+        keys, count = self._first_pass()
         order = np.argsort(keys, kind="stable")
         self._place = np.empty(len(keys), np.int64)
         self._place[order] = np.arange(len(keys))
-        self._blocks, self._bins = starts_of(blocks[order]), starts_of(bins[order])
+        self._first_point, self._blocks, self._bins = (starts_of(c[order]) for c in count)
         self._each(self._take_rows)
         self._each(self._take_blocks)
 
@@ -88,49 +89,63 @@ class WholeSurface:
             return None
         return HeldPatches(cross_start=self._blocks, nav_start=self._bins, **self._made)
 
-    def _first_pass(self) -> tuple[FilteredPoints | None, I64, I64, I64]:
-        """The points, by patch; keys (m,) of the patches as the tiles have them, and how many
-        blocks and time bins each has.
+    @property
+    def points(self) -> FilteredPoints | None:
+        """All points, by patch, then position; None where there are none."""
+        return FilteredPoints(**self._points) if self._points else None
+
+    def _first_pass(self) -> tuple[I64, I64]:
+        """Keys (m,) of the patches as the tiles have them, and how many points, blocks and time
+        bins each has (3, m).
         """
-        points, keys, none = [], [], np.zeros(0, np.int64)
-        blocks, bins = [none], [none]
+        keys, counts = [np.zeros(0, np.int64)], [np.zeros((3, 0), np.int64)]
         for reader in self._readers:
             found = reader()
             if found is None:
                 continue
-            points.append(usable_points(found.points, found.patches.key, self.losses))
-            keys.append(found.patches.key.copy())  # else each file would stay mapped
-            blocks.append(np.diff(found.patches.cross_start))
-            bins.append(np.diff(found.patches.nav_start))
+            patches = found.patches
+            points = usable_points(found.points, patches.key, self.losses)
+            order = np.argsort(patches.key)
+            row = order[np.searchsorted(patches.key, points.patch, sorter=order)]
+            count = np.bincount(row, minlength=len(patches))
+            blocks, bins = np.diff(patches.cross_start), np.diff(patches.nav_start)
+            counts.append(np.stack([count, blocks, bins]))
+            keys.append(patches.key.copy())  # else each file would stay mapped
             for name in COUNTS:
                 self.counts[name] += getattr(found, name)
-            self.counts["patches"] += len(found.patches)
-        key = np.concatenate([none, *keys])
-        turns = [1] * len(points)
-        merged = merged_points(Parts(points), turns, LatestUpdate(keys, turns)) if points else None
-        return merged, key, np.concatenate(blocks), np.concatenate(bins)
+            self.counts["patches"] += len(patches)
+        return np.concatenate(keys), np.concatenate(counts, axis=1)
 
-    def _each(self, take: Callable[[Patches, I64], None]) -> None:
-        """Hand over the patches of each tile, and their places (k,) among all."""
+    def _each(self, take: Callable[[TilePatches, I64], None]) -> None:
+        """Hand over what each tile gives, and the places (k,) of its patches among all."""
         first = 0
         for reader in self._readers:
             found = reader()
             if found is not None and len(found.patches):
                 last = first + len(found.patches)
-                take(found.patches, self._place[first:last])
+                take(found, self._place[first:last])
                 first = last
 
-    def _take_rows(self, patches: Patches, place: I64) -> None:
-        """What each patch has of its own."""
-        held = prepare_patches(patches)
+    def _take_rows(self, found: TilePatches, place: I64) -> None:
+        """What each patch has of its own, and its points."""
+        points, key = [usable_points(found.points, found.patches.key, Losses())], found.patches.key
+        of_tile = merged_points(Parts(points), [1], LatestUpdate([key], [1]))
+        at = ragged_index(self._first_point, np.sort(place))
+        for name, rows in vars(of_tile).items():
+            if name not in self._points:
+                shape = (int(self._first_point[-1]), *rows.shape[1:])
+                self._points[name] = file_array(self._folder, shape, rows.dtype)
+            self._points[name][at] = rows
+        held = prepare_patches(found.patches)
         bins = ragged_index(self._bins, place)
         for name in (*ROWS, *HELD):
             self._rows_of(name, len(self._place), getattr(held, name))[place] = getattr(held, name)
         for name in BINS:
             self._rows_of(name, self._bins[-1], getattr(held, name))[bins] = getattr(held, name)
 
-    def _take_blocks(self, patches: Patches, place: I64) -> None:
+    def _take_blocks(self, found: TilePatches, place: I64) -> None:
         """What each patch shares with those of higher keys; all factors are known."""
+        patches = found.patches
         other, at = patches.cross_key, ragged_index(self._blocks, place)
         keys, factor = self._made["key"], self._made["factor"]
         packed = block_kernel(patches.key, patches.cross_start, other, patches.cross, keys, factor)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.records import F64, I32
 from ladar_volume.tin.predicates import INCIRCLE_BOUND, incircle_exact, orientation
 
@@ -297,7 +298,7 @@ def insert_kernel(
 
 def triangle_table(vertices: int) -> MeshTable:
     """Room for the triangles and ghosts over so many vertices: (2 vertices + 2, 8)."""
-    return np.empty((2 * vertices + 2, 8), np.int32)
+    return large_zeros((2 * vertices + 2, 8), np.int32)
 
 
 @kernel
@@ -329,6 +330,6 @@ def export_kernel(m: MeshTable, name: I32, triangles: I32, neighbours: I32) -> N
 def export(m: MeshTable, name: I32) -> tuple[I32, I32]:
     """Triangles and neighbours, both (k, 3), of a table in use; destroys word 3 of its rows."""
     count = int(number_real(m))
-    triangles, neighbours = np.empty((count, 3), np.int32), np.empty((count, 3), np.int32)
+    triangles, neighbours = (large_zeros((count, 3), np.int32) for _ in range(2))
     export_kernel(m, name, triangles, neighbours)
     return triangles, neighbours

@@ -76,13 +76,12 @@ def place_kernel(cut: F64, fill: F64, place: I64, out: F64) -> None:
 
 
 @kernel
-def load_kernel(gradient: F64, normal: F64, tangent: F64, local: F64, row: I64, p: int) -> F64:
-    """Loads (m, p + 2, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points'
-    patches row (n,) times the first p of ``(1, u, v, u², uv, v²)`` of tangent coordinates local (n,
-    2), then along their tangents (m, 3) and binormals.
+def load_kernel(gradient: F64, normal: F64, tangent: F64, local: F64, row: I64, out: F64) -> None:
+    """Adds to out (m, p + 2, k) the loads of k results: gradients (n, k, 3) along the normals
+    (m, 3) of the points' patches row (n,) times the first p of ``(1, u, v, u², uv, v²)`` of tangent
+    coordinates local (n, 2), then along their tangents (m, 3) and binormals.
     """
-    results = gradient.shape[1]
-    out, side = np.zeros((len(normal), p + 2, results)), np.empty(3)
+    results, p, side = gradient.shape[1], out.shape[1] - 2, np.empty(3)
     for i in range(len(gradient)):
         m, u, v = row[i], local[i, 0], local[i, 1]
         n, t, X = normal[m], tangent[m], (1.0, u, v, u * u, u * v, v * v)
@@ -99,7 +98,6 @@ def load_kernel(gradient: F64, normal: F64, tangent: F64, local: F64, row: I64, 
                     out[m, a, k] += X[a] * along
                 out[m, p, k] += x * t[0] + y * t[1] + z * t[2]
                 out[m, p + 1, k] += x * side[0] + y * side[1] + z * side[2]
-    return out
 
 
 @kernel

@@ -25,6 +25,7 @@ import dataclasses
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.ragged_ranges import patch_range
 from ladar_volume.model.records import (
     CAL_COLUMNS,
@@ -170,30 +171,31 @@ def beam_kernel(M: F32) -> tuple[I16, F32]:
     return out, unit
 
 
-def factor_loads(q: F64, patches: PatchTable) -> F64:
-    """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p or more, k) of
-    which the first p are on the patches' parameters.
+def factor_loads(q: F64, patches: PatchTable, columns: int = 0) -> F64:
+    """Loads (m, p, k or ``columns``) on that whose covariances the blocks are, of loads q (m, p or
+    more, k) of which the first p are on the patches' parameters; zero in columns beyond k.
     """
     p = patches.beta.shape[1]
-    return (
-        np.asarray(factor_load_kernel(patches.factor, q))
-        if isinstance(patches, HeldPatches)
-        else np.ascontiguousarray(q[:, :p])
-    )
+    out: F64 = large_zeros((len(q), p, max(columns, q.shape[2])))
+    if isinstance(patches, HeldPatches):
+        factor_load_kernel(patches.factor, q, out)
+    else:
+        out[:, :, : q.shape[2]] = q[:, :p]
+    return out
 
 
 @kernel
-def factor_load_kernel(factor: F32, q: F64) -> F64:
-    """``Lᵀ q`` (m, p, k) of lower triangles L (m, p, p) and loads q (m, p or more, k)."""
+def factor_load_kernel(factor: F32, q: F64, out: F64) -> None:
+    """Adds ``Lᵀ q`` of lower triangles L (m, p, p) and loads q (m, p or more, k) to out (m, p, k or
+    more).
+    """
     m, p, results = len(factor), factor.shape[1], q.shape[2]
-    out = np.zeros((m, p, results))
     for a in range(m):
         for r in range(p):
             for k in range(results):
                 if q[a, r, k] != 0.0:  # most patches are in no volume
                     for s in range(r + 1):
                         out[a, s, k] += factor[a, r, s] * q[a, r, k]
-    return out
 
 
 def factor_rows(X: F64, row: I64, patches: PatchTable) -> F64:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.records import F32, F64, I32, I64, Bool, PatchTable
 from ladar_volume.uncertainty.load_kernels import (
     CalibrationRows,
@@ -39,8 +40,8 @@ class PatchErrors:
         self._calibration = Entries(one, two, C_cal[one, two])
         self._roots = navigation.roots(time_bins[0])
         self._deviation, self._covariance = (
-            np.zeros((m, p, 6), np.float32),
-            np.zeros((m, p, p), np.float32),
+            large_zeros((m, p, 6), np.float32),
+            large_zeros((m, p, p), np.float32),
         )
         self._deviates, self._varies = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
 

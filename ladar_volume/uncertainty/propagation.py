@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.georeference.error_budget import calibration_columns
+from ladar_volume.math.large_arrays import in_its_room, large_zeros
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, PatchTable
@@ -58,7 +59,8 @@ class SurfaceGeometry:
 
 def design_rows(local: F64, p: int) -> F64:
     """Rows ``(1, u, v[, u², uv, v²])`` (..., p) of tangent coordinates (..., 2), m."""
-    out: F64 = np.ones((*local.shape[:-1], p))
+    out: F64 = large_zeros((*local.shape[:-1], p))
+    out[..., 0] = 1.0
     out[..., 1:3] = local
     for k, (a, b) in enumerate(((0, 0), (0, 1), (1, 1))[: p - 3], start=3):
         np.multiply(local[..., a], local[..., b], out=out[..., k])
@@ -81,8 +83,8 @@ def surface_geometry(points: FilteredPoints, patches: PatchTable) -> SurfaceGeom
                 f"patches of {p} parameters with sensitivities in {M.shape[1]} rows, not {p + 2}",
                 reason="volume_patches",
             )
-    row = np.searchsorted(patches.key, points.patch)
-    right = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
+    row = in_its_room(np.searchsorted(patches.key, points.patch))
+    right = in_its_room(neighbour_kernel(patches.key, patches.cross_start, patches.cross_key))
     return SurfaceGeometry(row, points.local, p, patches.cross_start, right)
 
 
@@ -90,16 +92,9 @@ def patch_loads(gradient: F64, patches: PatchTable, geometry: SurfaceGeometry) -
     """Loads q (m, p + 2, k) of k results with gradients (n, k, 3): on the patch parameters, then on
     the patch's place along its tangent and binormal.
     """
-    return np.asarray(
-        load_kernel(
-            gradient,
-            patches.normal,
-            patches.tangent,
-            geometry.local,
-            geometry.row,
-            geometry.parameters,
-        )
-    )
+    q: F64 = large_zeros((len(patches), geometry.parameters + 2, gradient.shape[1]))
+    load_kernel(gradient, patches.normal, patches.tangent, geometry.local, geometry.row, q)
+    return q
 
 
 def independent_covariance(q: F64, patches: PatchTable, geometry: SurfaceGeometry) -> F64:
@@ -107,9 +102,7 @@ def independent_covariance(q: F64, patches: PatchTable, geometry: SurfaceGeometr
     q_b`` over all pairs of patches, with the loads on their parameters.
     """
     k = q.shape[2]
-    q = factor_loads(q, patches)
-    if k % 4:
-        q = np.concatenate([q, np.zeros((*q.shape[:2], -k % 4))], axis=2)
+    q = factor_loads(q, patches, k + -k % 4)
     half = np.empty((q.shape[2], q.shape[2]))
     for j in range(0, k, 4):
         four = np.ascontiguousarray(q[:, :, j : j + 4])
@@ -208,6 +201,5 @@ def time_bins(patches: PatchTable) -> tuple[I64, I32]:
         bins = np.unique(patches.nav_bin)
         return bins, np.searchsorted(bins, patches.nav_bin).astype(np.int32)
     seen = np.bincount(patches.nav_bin - low)
-    return np.flatnonzero(seen) + low, (np.cumsum(seen > 0) - 1).astype(np.int32)[
-        patches.nav_bin - low
-    ]
+    index = (np.cumsum(seen > 0) - 1).astype(np.int32)[patches.nav_bin - low]
+    return np.flatnonzero(seen) + low, in_its_room(index)

@@ -11,11 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I64, PatchTable
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F32, F64, I64, PatchTable
 
 #: Standard deviation of what is left of the smoothing, over what is found: of the rounded toe of
 #: simulated piles three quarters are.
 LEFT = 1.0 / 3.0
+#: Points that are added up at once.
+PART = 1024
 
 
 @dataclass(frozen=True)
@@ -26,15 +29,30 @@ class Smoothing:
     variance_m6: float
 
 
-def own_shifts(patches: PatchTable, row: I64) -> F64:
-    """By how much (k, 3), m, the returns lie off the patches ``row`` (k,). The normals count as
-    they are sent, in 32 bits, so that a volume is the same on either side of the wire.
+def own_shift(gradient: F64, patches: PatchTable, row: I64) -> float:
+    """What a result with gradients (n, 3) gains where the returns lie off the patches ``row`` (n,)
+    of its points, and these are moved there. The normals count as they are sent, in 32 bits, so
+    that a volume is the same on either side of the wire.
     """
     if not len(patches.own_residual):
-        return np.zeros((len(row), 3))
-    normal = patches.normal.astype(np.float32).astype(np.float64)
-    out: F64 = (normal * patches.own_residual[:, None])[row]
-    return out
+        return 0.0
+    normal = patches.normal.astype(np.float32)
+    return float(shift_kernel(gradient, normal, patches.own_residual, row))
+
+
+@kernel
+def shift_kernel(gradient: F64, normal: F32, residual: F32, row: I64) -> float:
+    """See :func:`own_shift`: normal (m, 3), residual (m,) m of the patches. The sum of each
+    :data:`PART` points is added as one, which keeps its digits.
+    """
+    total = part = 0.0
+    for i in range(len(gradient)):
+        n = normal[row[i]]
+        along = gradient[i, 0] * n[0] + gradient[i, 1] * n[1] + gradient[i, 2] * n[2]
+        part += along * residual[row[i]]
+        if i % PART == PART - 1:
+            total, part = total + part, 0.0
+    return total + part
 
 
 def smoothing_of(gradient: F64, q: F64, patches: PatchTable, row: I64) -> Smoothing:
@@ -47,7 +65,7 @@ def smoothing_of(gradient: F64, q: F64, patches: PatchTable, row: I64) -> Smooth
     """
     if not len(patches.own_residual):
         return Smoothing(0.0, 0.0)
-    shift = -float((gradient * own_shifts(patches, row)).sum())
+    shift = -own_shift(gradient, patches, row)
     by_patch = q[:, 0] * patches.own_residual
     return Smoothing(shift, float(by_patch @ by_patch) + (LEFT * shift) ** 2)
 

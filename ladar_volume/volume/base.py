@@ -12,11 +12,12 @@ from ladar_volume.ground.heights import height_above
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.robust_ground import fit_ground, refine
 from ladar_volume.ground.surfaces import further_grounds
+from ladar_volume.math.large_arrays import in_its_room
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
-from ladar_volume.volume.outline import bodies, shares, surroundings, widen_body
+from ladar_volume.volume.outline import bodies, labelled_bodies, shares, surroundings, widen_body
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Base and outline settle in two or three rounds; the first repetition ends it, with what the
@@ -69,7 +70,7 @@ def settled_outline(
             seen = seen[again[0] + 1 :]
             break
         seen.append(mask)
-    inside = np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+    inside = in_its_room(np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0))
     others = [other for other in seen[-LAST:] if other is not mask]
     moved = max((abs(volume_between(tin, base, other, mask)) for other in others), default=0.0)
     return dataclasses.replace(base, unsettled_m3=moved), inside
@@ -110,14 +111,14 @@ def area_inside(tin: Tin, base: Plane, p: VolumeParameters) -> F64:
             )
         return inside
     mask = tin.relevant if p.outline == "all" else body_outline(tin, base, p, {})
-    return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+    return in_its_room(np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0))
 
 
 def body_outline(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, Bool]) -> Bool:
     """The triangles (m,) within the outline of the bodies. known : by the bodies' triangles, what
     was found on this surface before; a base that differs little has the same bodies.
     """
-    body = np.logical_or.reduce(bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3))
+    body = np.isin(*labelled_bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3))
     key = np.packbits(body).tobytes()
     if key not in known:
         known[key] = widen_body(tin, body, p.outline_margin_m)
@@ -131,7 +132,8 @@ def area_by_body(tin: Tin, base: Plane, inside: F64, p: VolumeParameters) -> lis
     if p.outline != "auto" or p.bodies == 1:
         return [inside]
     found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
-    return [np.where(share, inside, 0.0) for share in shares(tin, inside > 0, found)]
+    of = shares(tin, inside > 0, found)
+    return [in_its_room(np.where(share, inside, 0.0)) for share in of]
 
 
 def all_grounds(

@@ -16,6 +16,7 @@ import numpy as np
 
 from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.records import F64, I32, Plane, Tin
 
 #: Least vertical component of a normal that says what its surroundings do to a height: steeper
@@ -24,23 +25,24 @@ LEAST_UP = 0.3
 
 
 @kernel
-def chord_kernel(xy: F64, normal: F64, triangles: I32, inside_m2: F64) -> F64:
-    """:func:`chord_volumes` of triangles (m, 3) of vertices at xy (n, 2)."""
-    out, slope = np.zeros(len(triangles)), np.full(xy.shape, math.nan)
-    for i in range(len(xy)):
-        if abs(normal[i, 2]) >= LEAST_UP:
-            slope[i, 0], slope[i, 1] = -normal[i, 0] / normal[i, 2], -normal[i, 1] / normal[i, 2]
+def chord_kernel(vertices: F64, normal: F64, triangles: I32, inside_m2: F64, out: F64) -> None:
+    """:func:`chord_volumes` of triangles (m, 3) of vertices (n, 3), to out (m,)."""
+    slope = np.empty((3, 2))
     for t in range(len(triangles)):
         if inside_m2[t] > 0.0:
+            for k in range(3):
+                n = normal[triangles[t, k]]
+                up = n[2] if abs(n[2]) >= LEAST_UP else math.nan
+                slope[k, 0], slope[k, 1] = -n[0] / up, -n[1] / up
             total = 0.0
             for k in range(3):
-                i, j = triangles[t, k], triangles[t, (k + 1) % 3]
-                total += (xy[j, 0] - xy[i, 0]) * (slope[j, 0] - slope[i, 0]) + (
-                    xy[j, 1] - xy[i, 1]
-                ) * (slope[j, 1] - slope[i, 1])
+                j = (k + 1) % 3
+                a, b = vertices[triangles[t, k]], vertices[triangles[t, j]]
+                total += (b[0] - a[0]) * (slope[j, 0] - slope[k, 0]) + (b[1] - a[1]) * (
+                    slope[j, 1] - slope[k, 1]
+                )
             if not math.isnan(total):
                 out[t] = inside_m2[t] / 24.0 * total
-    return out
 
 
 def chord_volumes(tin: Tin, normal: F64, inside_m2: F64) -> F64:
@@ -50,12 +52,10 @@ def chord_volumes(tin: Tin, normal: F64, inside_m2: F64) -> F64:
     normal : (n, 3) of the surface at the vertices, of either sign. A triangle with a corner on a
     wall steeper than 70° counts as flat.
     """
-    xy = np.ascontiguousarray(tin.vertices[:, :2])
-    return np.asarray(
-        chord_kernel(
-            xy, np.ascontiguousarray(normal), tin.triangles, np.ascontiguousarray(inside_m2)
-        )
-    )
+    normal, inside_m2 = np.ascontiguousarray(normal), np.ascontiguousarray(inside_m2)
+    out: F64 = large_zeros((len(tin.triangles),))
+    chord_kernel(np.ascontiguousarray(tin.vertices), normal, tin.triangles, inside_m2, out)
+    return out
 
 
 def cut_and_fill_chords(tin: Tin, normal: F64, base: Plane, inside_m2: F64) -> tuple[float, float]:

@@ -15,13 +15,14 @@ from statistics import NormalDist
 import numpy as np
 
 from ladar_volume.ground.ground_adjoint import ground_inverse
+from ladar_volume.math.large_arrays import in_its_room
 from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, FilteredPoints, PatchTable, Plane, Tin, Volume
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.ground_field import Roughness
-from ladar_volume.uncertainty.smoothing import cut_shift, own_shifts
+from ladar_volume.uncertainty.smoothing import cut_shift, own_shift
 from ladar_volume.uncertainty.volume_budget import Budget, Sources
 from ladar_volume.volume.base import area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.centroid import centroid
@@ -59,6 +60,11 @@ class SurveyedSurface:
     def tin(self) -> Tin:
         """The surface's triangles."""
         return self.surface.tin
+
+    @property
+    def normal(self) -> F64:
+        """Unit normals (v, 3) of the surface at its vertices."""
+        return in_its_room(self.points.normal[self.tin.source])
 
 
 @dataclass(frozen=True)
@@ -153,8 +159,7 @@ def volume_of(
     """
     tin, base, part, mask = survey.tin, footing.base, body.part, body.part > 0
     solid, budget, near = body.solid, body.budget, body.near
-    normal = survey.points.normal[tin.source]
-    above, below = cut_and_fill_chords(tin, normal, base, part)
+    above, below = cut_and_fill_chords(tin, survey.normal, base, part)
     folded = 0.0 if near is None else near.removed_m3(solid.cut_m3, solid.fill_m3)
     cut, fill = solid.cut_m3 - folded - above, solid.fill_m3 - folded + below
     smoothed = cut_shift(cut, fill, _smoothing_of_cut(survey, body), budget.smoothing_m3)
@@ -192,10 +197,10 @@ def _smoothing_of_cut(survey: SurveyedSurface, body: MeasuredBody) -> float:
     surface alone; the other has what is left of the net volume's, with what the base has of it.
     """
     solid, net_m3 = body.solid, body.budget.smoothing_m3
-    moved = own_shifts(survey.patches, survey.sources.geometry.row[survey.tin.source])
+    row = survey.sources.geometry.row[survey.tin.source]
     if solid.cut_m3 >= solid.fill_m3:
-        return net_m3 - float((solid.gradient_fill * moved).sum())
-    return -float((solid.gradient_cut * moved).sum())
+        return net_m3 - own_shift(solid.gradient_fill, survey.patches, row)
+    return -own_shift(solid.gradient_cut, survey.patches, row)
 
 
 def _near_base(survey: SurveyedSurface, footing: Footing, part: F64) -> Fold | None:

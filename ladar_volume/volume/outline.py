@@ -24,9 +24,18 @@ def components(tin: Tin, mask: Bool) -> I32:
 def bodies(
     tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0
 ) -> list[Bool]:
-    """Triangles (m,) of the largest bodies by volume, ``count`` at most (0: all): connected
-    relevant triangles whose three vertices rise more than ``object_height_m`` above the base. The
-    first always counts, the others with at least ``least_m3``.
+    """Triangles (m,) of each of the bodies of :func:`labelled_bodies`, the largest first."""
+    label, kept = labelled_bodies(tin, base, object_height_m, count, least_m3)
+    return [label == k for k in kept]
+
+
+def labelled_bodies(
+    tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0
+) -> tuple[I32, list[int]]:
+    """The largest bodies by volume, ``count`` at most (0: all): connected relevant triangles whose
+    three vertices rise more than ``object_height_m`` above the base. The first always counts, the
+    others with at least ``least_m3``. The part (m,) that each triangle belongs to, -1 for none, and
+    the bodies among the parts, the largest first.
 
     Raises :class:`VolumeError` where nothing rises that high.
     """
@@ -42,7 +51,7 @@ def bodies(
     kept = [
         int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)
     ]
-    return [label == k for k in (kept[:count] if count else kept)]
+    return label, kept[:count] if count else kept
 
 
 @kernel

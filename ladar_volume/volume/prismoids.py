@@ -16,8 +16,12 @@ import numpy as np
 from ladar_volume.ground.heights import design_products, height_above
 from ladar_volume.ground.polynomial import base_gradient, degree_of
 from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
+
+#: Vertices at which the slope of the base is told at once.
+BLOCK = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -110,13 +114,13 @@ def positive_part(h: F64) -> tuple[F64, F64]:
 
 @kernel
 def prismoid_kernel(
-    vertices: F64, triangles: I32, chosen: Bool, height: F64, d: int
-) -> tuple[F64, F64, F64]:
+    vertices: F64, triangles: I32, chosen: Bool, height: F64, cut: F64, net: F64
+) -> F64:
     """Cut, fill, footprint (3,) of the ``chosen`` triangles (m,) over vertices (n, 3) that stand so
-    high (n,) above a base, and the gradients of cut and net volume by the vertices (n, d), by their
-    heights alone where d is 1 and not 3, the base held fixed at each.
+    high (n,) above a base. Adds the gradients by the vertices to cut and net (n, 3), those by their
+    heights alone to such of (n, 1), the base held fixed at each.
     """
-    cut, net, total = np.zeros((len(vertices), d)), np.zeros((len(vertices), d)), np.zeros(3)
+    d, total = cut.shape[1], np.zeros(3)
     h, below, slope, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for t in range(len(triangles)):
         if not chosen[t]:
@@ -145,7 +149,7 @@ def prismoid_kernel(
             cut[v, 1] += up * north
             net[v, 0] += whole * east
             net[v, 1] += whole * north
-    return total, cut, net
+    return total
 
 
 def prismoids(tin: Tin, base: Plane, mask: Bool | None = None, sideways: bool = True) -> Prismoids:
@@ -157,23 +161,22 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None, sideways: bool = 
     chosen = tin.relevant if mask is None else mask
     if not chosen.any():
         raise VolumeError("no triangle lies inside the outline", reason="volume_no_triangle")
-    v, xy = tin.vertices, tin.vertices[:, :2]
-    (cut, fill, area), g_cut, g_net = prismoid_kernel(
-        v, tin.triangles, chosen, height_above(v, base), 3 if sideways else 1
-    )
+    v = tin.vertices
+    g_cut, g_net = (large_zeros((len(v), 3 if sideways else 1)) for _ in range(2))
+    cut, fill, area = prismoid_kernel(v, tin.triangles, chosen, height_above(v, base), g_cut, g_net)
     b_cut, b_net = (
         -design_products(v, base.origin_xy, degree_of(base), g[:, -1:])[:, 0]
         for g in (g_cut, g_net)
     )
-    if sideways:
-        slope_base = base_gradient(base, xy)
-        for gradient in (g_cut, g_net):
+    for first in range(0, len(v) if sideways else 0, BLOCK):
+        some = slice(first, first + BLOCK)
+        slope_base = base_gradient(base, v[some, :2])
+        for gradient in (g_cut[some], g_net[some]):
             gradient[:, :2] -= gradient[:, 2:] * slope_base
     # fill = cut − net: at a height of exactly zero, where neither has a derivative, the net volume
     # keeps its own
-    return Prismoids(
-        float(cut), float(fill), float(area), g_cut, g_cut - g_net, b_cut, b_cut - b_net
-    )
+    g_fill = np.subtract(g_cut, g_net, out=g_net)
+    return Prismoids(float(cut), float(fill), float(area), g_cut, g_fill, b_cut, b_cut - b_net)
 
 
 def gather(corner: F64, triangles: I32, n: int) -> F64:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ladar_volume.ground.ground_adjoint import add_ground_gradient, ground_residuals
 from ladar_volume.ground.heights import height_above
+from ladar_volume.math.large_arrays import in_its_room, large_zeros
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
     F64,
@@ -36,6 +37,7 @@ from ladar_volume.uncertainty.vertex_noise import (
 )
 from ladar_volume.uncertainty.volume_budget import Sources
 from ladar_volume.volume.near_base import Fold, fold, near_triangles
+from ladar_volume.volume.neighbourhood import part_around
 from ladar_volume.volume.prismoids import Prismoids
 
 
@@ -55,7 +57,7 @@ def vertex_variance(surface: RepresentedSurface, points: FilteredPoints) -> F64:
     """
     tin = surface.tin
     height = points.variance / np.maximum(points.normal[:, 2] ** 2, LEAST_UPWARD**2)
-    own: F64 = height[tin.source]
+    own: F64 = in_its_room(height[tin.source])
     if surface.fit is None:
         return own
     B, unit = surface.fit.B, height_covariance(tin, surface.fit, np.ones(len(own))).diagonal()
@@ -89,7 +91,7 @@ def result_gradients(
     by_beta = np.concatenate([solid.base_net[:, None], np.eye(len(base.beta))], axis=1)[
         :, : None if fitted and coefficients else 1
     ]
-    out = np.zeros((rows, by_beta.shape[1], 3))
+    out = large_zeros((rows, by_beta.shape[1], 3))
     place_kernel(solid.gradient_cut, solid.gradient_fill, place, out)
     if fitted:
         add_ground_gradient(out, place, tin.vertices, base, by_beta, inverse)
@@ -127,7 +129,10 @@ def near_correction(
         patches, geometry, X, row, np.unique(close).astype(np.int64), variance
     )
     del X, row
-    return fold(tin, height, variance, close, packed, rings_for(alike), sums)
+    rings = rings_for(alike)
+    part = part_around(tin, close, rings)
+    own = part.vertex
+    return fold(part.tin, height[own], variance[own], part.close, packed, rings, sums[own])
 
 
 def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:

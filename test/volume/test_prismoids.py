@@ -188,14 +188,16 @@ def test_volumes_and_gradients_by_complex_steps():
         return np.array([areas(xy) @ above, areas(xy) @ height[chosen].mean(axis=1)])
 
     xy = np.ascontiguousarray(tin.vertices[:, :2])
-    total, cut, net = prismoid_kernel(tin.vertices, tin.triangles, inside, height, 3)
+    cut, net = np.zeros((2, len(tin.vertices), 3))
+    total = prismoid_kernel(tin.vertices, tin.triangles, inside, height, cut, net)
     up, whole = both(xy, height)
     assert total == pytest.approx([up, up - whole, areas(xy).sum()], rel=1e-11)
     by_xy = complex_gradient(lambda v: both(v, height), xy)
     by_height = complex_gradient(lambda h: both(xy, h), height)
     for k, found in enumerate((cut, net)):
         assert found == pytest.approx(np.c_[by_xy[..., k], by_height[:, k]], abs=1e-10)
-    same, up, all_ = prismoid_kernel(tin.vertices, tin.triangles, inside, height, 1)
+    up, all_ = np.zeros((2, len(tin.vertices), 1))
+    same = prismoid_kernel(tin.vertices, tin.triangles, inside, height, up, all_)
     assert np.array_equal(same, total) and np.array_equal(np.c_[up, all_], np.c_[cut, net][:, 2::3])
 
 

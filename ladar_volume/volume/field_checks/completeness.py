@@ -15,7 +15,7 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
 from ladar_volume.volume.field_checks.steep_faces import faces_to_base
-from ladar_volume.volume.outline import bodies
+from ladar_volume.volume.outline import labelled_bodies
 
 #: Directions around a body that are told apart, and the widest gap in them without ground.
 DIRECTIONS, WIDEST_DEG = 36, 60.0
@@ -111,8 +111,9 @@ def body_doubts(
         return []
     height = height_above(tin.vertices, base)
     area, found = footprint_areas(tin.vertices, tin.triangles), []
-    for mask in bodies(tin, base, p.object_height_m, 0, p.min_body_m3):
-        rows = np.flatnonzero(mask & ~inside)
+    label, kept = labelled_bodies(tin, base, p.object_height_m, 0, p.min_body_m3)
+    for body in kept:
+        rows = np.flatnonzero((label == body) & ~inside)
         own = float(area[rows] @ height[tin.triangles[rows]].mean(axis=1))
         if len(rows) and own >= max(p.min_body_m3, sigma_m3):
             found.append((own, *tin.vertices[tin.triangles[rows], :2].mean(axis=(0, 1)).tolist()))

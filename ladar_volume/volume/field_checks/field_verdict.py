@@ -136,7 +136,7 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
         return volume
     over = np.where(gaps.triangle >= 0, part, 0.0)
     # slopes at the rim of a gap tell of its surface by kriging, not as chords
-    above, below = cut_and_fill_chords(tin, survey.points.normal[tin.source], base, over)
+    above, below = cut_and_fill_chords(tin, survey.normal, base, over)
     view = patch_views(survey.patches)[survey.sources.geometry.row[tin.source]]
     found = bridged_volume(tin, base, part, survey.height_variance, gaps, view)
     cut, fill = with_net(volume.cut_m3 + above, volume.fill_m3 - below, found.more_m3)
@@ -312,7 +312,7 @@ def with_cover(
     told, sigma = known.correction(tin, footing.base, part, v.object_height_m)
     found, doubts = cover_sigma(ground, body, volume.area_m2, volume.volume_m3)
     scatter = survey.patches.sigma[survey.sources.geometry.row[tin.source]]
-    on_face = steep(survey.points.normal[tin.source])
+    on_face = steep(survey.normal)
     radius_m = parameters.filter.radius_m
     bush = 0.0 if known.body else bush_volume(tin, part, scatter, on_face, radius_m)
     doubts = doubts or bush_doubts(bush, volume.sigma_m3)
@@ -531,8 +531,7 @@ def assess_field(
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, body, volume, parameters, ask)
     tin = survey.tin
-    normal = survey.points.normal[tin.source]
-    on_face = steep(normal)
+    on_face = steep(survey.normal)
     volume = with_objects(volume, objects)
     # a cut or a further body may be what makes the readings of the base differ
     chosen_m6 = volume.budget_m6.get("base_model", 0.0)

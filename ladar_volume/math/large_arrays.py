@@ -1,0 +1,46 @@
+"""Where large arrays lie: in memory, unless a program that works on more than that gives other
+room, such as files that the system writes back and reads again as needed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+#: Arrays of so many bytes or more are large.
+LARGE_BYTES = 1 << 22
+
+#: Gives an array of zeros of a shape and a type.
+Room = Callable[[tuple[int, ...], npt.DTypeLike], npt.NDArray[Any]]
+
+_rooms: list[Room] = []
+
+
+@contextlib.contextmanager
+def large_arrays_in(room: Room) -> Iterator[None]:
+    """Within the block, large arrays of all threads lie there; they stay there afterwards."""
+    _rooms.append(room)
+    try:
+        yield
+    finally:
+        _rooms.remove(room)
+
+
+def large_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    """An array of zeros."""
+    large = math.prod(shape) * np.dtype(dtype).itemsize >= LARGE_BYTES
+    return _rooms[-1](shape, dtype) if _rooms and large else np.zeros(shape, dtype)
+
+
+def in_its_room(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The array, moved to where large ones lie, if it is one."""
+    if not _rooms or array.nbytes < LARGE_BYTES:
+        return array
+    out = _rooms[-1](array.shape, array.dtype)
+    out[...] = array
+    return out
