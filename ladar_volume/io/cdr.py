@@ -73,19 +73,21 @@ def shown_triangles(tin: Tin) -> I64:
     """Triangles (k, 3) to be looked at: the relevant ones; of more than :data:`MOST_SHOWN`, those
     left when all vertices in one square of a grid count as one of them.
     """
-    triangles = tin.triangles[tin.relevant].astype(np.int64)
+    triangles = tin.triangles[tin.relevant]
     if len(triangles) <= MOST_SHOWN:
-        return triangles
-    xy = tin.vertices[:, :2] - tin.vertices[:, :2].min(axis=0)
-    square = np.floor(xy / math.sqrt(float(np.prod(xy.max(axis=0))) / (0.5 * MOST_SHOWN))).astype(
-        np.int64
+        return triangles.astype(np.int64)
+    low, high = tin.vertices[:, :2].min(axis=0), tin.vertices[:, :2].max(axis=0)
+    side = math.sqrt(float(np.prod(high - low)) / (0.5 * MOST_SHOWN))
+    square, y = (
+        np.floor((c - least) / side).astype(np.int64)
+        for c, least in zip(tin.vertices.T[:2], low, strict=True)
     )
-    _, first, label = np.unique(
-        square @ [int(square.max()) + 1, 1], return_index=True, return_inverse=True
-    )
-    triangles = first[label][triangles]
+    square *= int((high - low).max() / side) + 1
+    square += y
+    _, first, label = np.unique(square, return_index=True, return_inverse=True)
+    triangles = first.astype(np.int32)[label][triangles]
     whole: Bool = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return triangles[whole]
+    return triangles[whole].astype(np.int64)
 
 
 def tin_marker(estimate: Estimate, value: F64, frame: str) -> bytes:
@@ -93,9 +95,9 @@ def tin_marker(estimate: Estimate, value: F64, frame: str) -> bytes:
     coloured by a value (n,) of each vertex, in the frame of the map.
     """
     tin = estimate.tin
-    corners = shown_triangles(tin).ravel()
+    corners, inverse = np.unique(shown_triangles(tin), return_inverse=True)
     low, high = float(np.min(value)), float(np.max(value))
-    s = (value - low) / max(high - low, 1e-12)
+    s = (value[corners] - low) / max(high - low, 1e-12)
     colour = np.column_stack(
         [s, 0.6 * (1.0 - np.abs(2.0 * s - 1.0)) + 0.3, 1.0 - s, np.ones(len(s))]
     ).astype(np.float32)
@@ -109,8 +111,8 @@ def tin_marker(estimate: Estimate, value: F64, frame: str) -> bytes:
     w.numbers("i", 0)  # lifetime
     w.numbers("I", 0)
     w.numbers("B", 0)  # frame_locked
-    w.sequence(tin.vertices[corners])
-    w.sequence(colour[corners])
+    w.sequence(tin.vertices[corners][inverse.ravel()])
+    w.sequence(colour[inverse.ravel()])
     w.text("")  # texture_resource
     w.header(0, "")  # texture
     w.text("")

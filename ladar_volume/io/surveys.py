@@ -37,6 +37,8 @@ from ladar_volume.uncertainty.packing import unpack_patches
 FILE, RECORD = "result.mcap", "ladar_volume"
 #: Type of the base as a pose.
 GROUND_PLANE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+#: Rows of a table in one message, and triangles of a mesh in one, at most.
+MOST_ROWS, MOST_TRIANGLES = 1 << 18, 2_000_000
 #: Tables that hold the survey itself.
 SURVEY = ("points_filtered", "patches", "navigation")
 
@@ -112,39 +114,29 @@ def _table_message(columns: dict[str, npt.NDArray[Any]], t_ns: int) -> object:
 
 def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[str, Any]) -> None:
     """The tables of volumes and ground surfaces, the surface (``tin`` coloured by height, ``mesh``
-    whole, its vertices with sigma), the ground plane, the survey and the whole result as MCAP.
-    Raises OutputError.
+    whole, its vertices with sigma), the ground plane, the survey and the whole result as MCAP. A
+    mesh of more than :data:`MOST_TRIANGLES` is left out. Raises OutputError.
     """
     t_ns = estimate.volume.t_ns
     vertices = estimate.tin.vertices
-    tables = [
-        ("volumes", message_tables.volume_columns(list(estimate.bodies))),
-        (
-            "tin_vertices",
-            {
-                "x": vertices[:, 0],
-                "y": vertices[:, 1],
-                "z": vertices[:, 2],
-                "sigma_z": epoch.sigma_z(estimate.tin),
-            },
-        ),
-    ]
+    tables = [("volumes", message_tables.volume_columns(list(estimate.bodies)))]
+    every = dict(zip("xyz", vertices.T, strict=True)) | {"sigma_z": epoch.sigma_z(estimate.tin)}
+    for first in range(0, len(vertices), MOST_ROWS):
+        rows = {name: column[first : first + MOST_ROWS] for name, column in every.items()}
+        tables.append(("tin_vertices", rows))
     if estimate.grounds:
         tables.append(("grounds", message_tables.ground_columns(estimate.grounds)))
     with atomic_file(path) as part, McapLog(Parameters().logger, part) as log:
-        log.metadata(RECORD, {"result": results.json_text(result)})
+        whole = np.count_nonzero(estimate.tin.relevant) <= MOST_TRIANGLES
+        facts = {"result": results.json_text(result)}
+        log.metadata(RECORD, facts if whole else facts | {"mesh": "too large: see mesh.ply"})
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             log.write_message(topic, _table_message(columns, t_ns), t_ns)
-        for topic, kind, data in (
-            (
-                "tin",
-                "visualization_msgs/msg/Marker",
-                cdr.tin_marker(estimate, vertices[:, 2], "map"),
-            ),
-            ("mesh", "shape_msgs/msg/Mesh", cdr.mesh(estimate)),
-            ("ground_plane", GROUND_PLANE, cdr.ground_plane(estimate, "map")),
-        ):
-            log.write(topic, kind, data, t_ns)
+        marker = cdr.tin_marker(estimate, vertices[:, 2], "map")
+        log.write("tin", "visualization_msgs/msg/Marker", marker, t_ns)
+        if whole:
+            log.write("mesh", "shape_msgs/msg/Mesh", cdr.mesh(estimate), t_ns)
+        log.write("ground_plane", GROUND_PLANE, cdr.ground_plane(estimate, "map"), t_ns)
 
 
 def _surface_tables(file: Path) -> tuple[list[Any], list[Any], list[Any]]:

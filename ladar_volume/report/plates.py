@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from ladar_volume.model.errors import OutputError
-from ladar_volume.model.records import F64, Tin
+from ladar_volume.model.records import F64
 from ladar_volume.report.scene import Scene, Section, sections_of
 
 #: Lines of the budget that are shown.
@@ -102,8 +102,8 @@ def polygons(corners: F64, **style: Any) -> PolyCollection:
 
 
 def faces(ax: Axes, scene: Scene, values: F64, **more: Any) -> AxesImage:
-    """The triangles that count from above, by their values (t,) or colours (t, 4); ``more`` as of
-    imshow.
+    """The triangles that are drawn from above, by their values (t,) or colours (t, 4); ``more`` as
+    of imshow.
     """
     pixels, shown = scene.pixels, scene.pixels.shown
     image = np.full((*shown.shape, *values.shape[1:]), np.nan if values.ndim == 1 else 0.0)
@@ -137,15 +137,15 @@ def draw_heights(ax: Axes, scene: Scene) -> None:
     z = scene.of_triangles(scene.tin.vertices[:, 2])
     scale = PolyCollection([], array=z, cmap="YlGnBu_r")
     colours = scale.to_rgba(z)
-    colours[:, :3] *= (0.62 + 0.38 * shade(scene.tin, scene))[:, None]
+    colours[:, :3] *= (0.62 + 0.38 * shade(scene))[:, None]
     faces(ax, scene, colours)
     ax.figure.colorbar(scale, ax=ax, label="height / m", shrink=0.8)
     finish_map(ax, scene, "Heights and toe")
 
 
-def shade(tin: Tin, scene: Scene) -> F64:
+def shade(scene: Scene) -> F64:
     """(t,) light from the north-west, 0 to 1."""
-    p = tin.vertices[tin.triangles[scene.counted]]
+    p = scene.corners()
     n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
     out: F64 = np.clip(n @ np.array([-0.5, 0.5, 0.7071]), 0.0, 1.0)

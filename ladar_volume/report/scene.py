@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,23 +11,29 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.ground.heights import height_above
-from ladar_volume.model.records import F64, I64, Bool, Estimate, Plane, Tin
-from ladar_volume.tin.locate import height_at, locate, triangle_index
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I32, I64, Bool, Estimate, Plane, Tin
+from ladar_volume.tin.full_tin import any_corner, vertex_mask
+from ladar_volume.tin.locate import height_at, triangle_index
+from ladar_volume.tin.predicates import WORKSPACE, orientation
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.pass_differences import between_bins
 
-#: Places along a section.
-PLACES = 400
-#: Pixels along the longer side of a map.
-PIXELS = 700
+#: Places along a section, and the most on a map and at once.
+PLACES, MOST_PLACES = 400, 100_000
+#: Pixels along the longer side of a map, and the most triangles that all are drawn.
+PIXELS, MOST_DRAWN = 700, 500_000
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """at : (h, w) number, among the triangles that count, of that at the middle of each pixel, from
-    the south up, -1 where there is none · extent : m, of its edges in the west, east, south, north
+    """drawn : (t,) the triangles that count, of more than :data:`MOST_DRAWN` those at the middle of
+    a pixel · at : (h, w) the number among these of that at the middle of each pixel, from the south
+    up, -1 where there is none · extent : m, of its edges in the west, east, south, north
     """
 
+    drawn: I64
     at: I64
     extent: tuple[float, float, float, float]
 
@@ -84,29 +91,67 @@ class Scene:
     residuals: Residuals | None = None
     convergence: Sequence[tuple[float, float, float]] = ()
 
-    def corners(self) -> F64:
-        """Corners (t, 3, 2), m, of the triangles that count."""
-        out: F64 = self.tin.vertices[self.tin.triangles[self.counted], :2]
-        return out
+    def box(self) -> tuple[F64, F64]:
+        """Least and greatest x and y, m, of the triangles that count."""
+        own = self.tin.vertices[vertex_mask(self.tin, self.counted), :2]
+        return own.min(axis=0), own.max(axis=0)
 
     @cached_property
     def pixels(self) -> Pixels:
         """The triangles that count as a map of pixels, which is drawn faster than as many polygons.
         Raises :class:`SurfaceError` where there is none.
         """
-        index, xy = triangle_index(self.tin, self.counted), self.corners().reshape(-1, 2)
-        low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max()) / PIXELS
-        w, h = np.maximum(np.ceil(np.ptp(xy, axis=0) / size), 1).astype(np.int64).tolist()
-        x, y = low[0] + (np.arange(w) + 0.5) * size, low[1] + (np.arange(h) + 0.5) * size
-        middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        found = locate(index, middles)
-        at = np.where(found >= 0, (np.cumsum(self.counted) - 1)[found], -1).reshape(h, w)
-        return Pixels(at, (low[0], low[0] + w * size, low[1], low[1] + h * size))
+        if not self.counted.any():
+            raise SurfaceError("there is no triangle to draw", reason="surface_no_relevant")
+        tin, (low, high) = self.tin, self.box()
+        size = float((high - low).max()) / PIXELS
+        w, h = np.maximum(np.ceil((high - low) / size), 1).astype(np.int64).tolist()
+        found = np.full((h, w), -1, np.int64)
+        pixel_kernel(tin.vertices, tin.triangles, self.counted, low, size, found)
+        drawn = np.flatnonzero(self.counted)
+        if len(drawn) > MOST_DRAWN:
+            drawn = np.unique(found[found >= 0])
+        at = np.where(found >= 0, np.searchsorted(drawn, found), -1)
+        return Pixels(drawn, at, (low[0], low[0] + w * size, low[1], low[1] + h * size))
+
+    def corners(self) -> F64:
+        """Corners (t, 3, 3), m, of the triangles that are drawn."""
+        out: F64 = self.tin.vertices[self.tin.triangles[self.pixels.drawn]]
+        return out
 
     def of_triangles(self, values: F64) -> F64:
-        """Means (t,) over the triangles that count, of values of the vertices (n,)."""
-        out: F64 = values[self.tin.triangles[self.counted]].mean(axis=1)
+        """Means (t,) over the triangles that are drawn, of values of the vertices (n,)."""
+        out: F64 = values[self.tin.triangles[self.pixels.drawn]].mean(axis=1)
         return out
+
+
+@kernel
+def pixel_kernel(
+    vertices: F64, triangles: I32, counted: Bool, low: F64, size: float, out: I64
+) -> None:
+    """Write to each pixel (h, w) the lowest number of the ``counted`` (m,) triangles that hold its
+    middle, edges included, told exactly; pixels of ``size`` from ``low`` (2,) on.
+    """
+    (h, w), work = out.shape, np.zeros(WORKSPACE)
+    for t in range(len(triangles)):
+        if not counted[t]:
+            continue
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        # one more on either side: the middles are rounded, too
+        first_x = int((min(a[0], b[0], c[0]) - low[0]) / size - 1.5)
+        last_x = int((max(a[0], b[0], c[0]) - low[0]) / size + 1.5)
+        first_y = int((min(a[1], b[1], c[1]) - low[1]) / size - 1.5)
+        last_y = int((max(a[1], b[1], c[1]) - low[1]) / size + 1.5)
+        for i in range(max(first_y, 0), min(last_y + 1, h)):
+            y = low[1] + (i + 0.5) * size
+            for j in range(max(first_x, 0), min(last_x + 1, w)):
+                x = low[0] + (j + 0.5) * size
+                if out[i, j] >= 0:
+                    continue
+                inside = orientation(a[0], a[1], b[0], b[1], x, y, work) >= 0.0
+                inside = inside and orientation(b[0], b[1], c[0], c[1], x, y, work) >= 0.0
+                if inside and orientation(c[0], c[1], a[0], a[1], x, y, work) >= 0.0:
+                    out[i, j] = t
 
 
 @dataclass(frozen=True)
@@ -124,11 +169,11 @@ class Section:
 
 def sections_of(scene: Scene) -> list[Section]:
     """Two sections through the middle of what counts: west to east, and south to north."""
-    xy = scene.corners().reshape(-1, 2)
-    outline = np.vstack([o for o in scene.outlines]) if scene.outlines else xy
+    box = scene.box()
+    outline = np.vstack([o for o in scene.outlines]) if scene.outlines else np.stack(box)
     low, high = outline.min(axis=0), outline.max(axis=0)
     low, high = low - 0.15 * (high - low), high + 0.15 * (high - low)
-    low, high = np.maximum(low, xy.min(axis=0)), np.minimum(high, xy.max(axis=0))
+    low, high = np.maximum(low, box[0]), np.minimum(high, box[1])
     middle = 0.5 * (low + high)
     ends = {
         "west to east": np.array([[low[0], middle[1]], [high[0], middle[1]]]),
@@ -141,7 +186,14 @@ def _section(scene: Scene, name: str, ends: F64) -> Section:
     share = np.linspace(0.0, 1.0, PLACES)[:, None]
     xy = ends[0] + share * (ends[1] - ends[0])
     length = float(np.linalg.norm(ends[1] - ends[0]))
-    return Section(name, ends, share[:, 0] * length, height_at(scene.tin, xy), scene.base_at(xy))
+    tin, fixed = scene.tin, int(ends[0, 0] != ends[1, 0])  # of x and y, that which stays
+    off = tin.vertices[:, fixed] - ends[0, fixed]
+    met = tin.relevant & any_corner(tin.triangles, off <= 0) & any_corner(tin.triangles, off >= 0)
+    if met.any():
+        surface = height_at(tin, xy, triangle_index(tin, met))
+    else:
+        surface = np.full(len(xy), np.nan)
+    return Section(name, ends, share[:, 0] * length, surface, scene.base_at(xy))
 
 
 def base_of_plane(plane: Plane | None) -> Callable[[F64], F64]:
@@ -214,8 +266,27 @@ def residuals_of(epoch: Epoch) -> Residuals | None:
     """How far the passes lie apart, patch by patch; None where no patch was seen twice."""
     patches = epoch.sources.patches
     rows = np.flatnonzero(np.diff(patches.nav_start) > 1).astype(np.int64)
-    square = between_bins(patches, rows) if len(rows) else None
-    if square is None:
+    some = [
+        between_bins(patches, rows[first : first + MOST_PLACES])
+        for first in range(0, len(rows), MOST_PLACES)
+    ]
+    known = [square for square in some if square is not None]
+    if not known or len(known) < len(some):
         return None
+    square = np.concatenate(known)
     edge = epoch.sources.parameters.filter.radius_m
-    return Residuals(patches.centre[rows, :2], np.sqrt(square), edge)
+    return coarser(Residuals(patches.centre[rows, :2], np.sqrt(square), edge))
+
+
+def coarser(found: Residuals) -> Residuals:
+    """The root mean squares by larger places, where there are more than :data:`MOST_PLACES`."""
+    n = len(found.xy_m)
+    if n <= MOST_PLACES:
+        return found
+    edge, low = found.edge_m * math.ceil(math.sqrt(n / MOST_PLACES)), found.xy_m.min(axis=0)
+    cell = np.floor((found.xy_m - low) / edge).astype(np.int64)
+    width = int(cell[:, 1].max()) + 1
+    used, number = np.unique(cell @ [width, 1], return_inverse=True)
+    square = np.bincount(number, found.apart_m**2) / np.bincount(number)
+    xy = low + edge * (np.stack(np.divmod(used, width), axis=1) + 0.5)
+    return Residuals(xy, np.sqrt(square), edge)

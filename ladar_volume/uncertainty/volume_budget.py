@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.georeference.error_budget import calibration_covariance
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, LEAST_UPWARD, FilteredPoints, PatchTable
 from ladar_volume.uncertainty.load_kernels import correlated_kernel, height_kernel, naive_kernel
@@ -48,8 +49,8 @@ from ladar_volume.uncertainty.smoothing import Smoothing, smoothing_of
 #: Share of their variance that independent errors of two samples keep, on average, where one is
 #: interpolated between them.
 BETWEEN = 2.0 / 3.0
-#: Rows of a symmetric matrix that are computed at a time.
-ROWS = 128
+#: Rows of a symmetric matrix that are computed at a time, and heights whose sigma is.
+ROWS, AT_ONCE = 128, 1 << 17
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,9 @@ def vertical_sigma(sources: Sources, points: I64) -> F64:
     """Total standard deviation (k,) m of the height of points (k,): that along the normal over the
     normal's vertical component, of which no less than 0.05 is taken (walls).
     """
-    out: F64 = np.sqrt(sources.variance(points)) / np.maximum(
-        np.abs(sources.points.normal[points, 2]), LEAST_UPWARD
-    )
+    out: F64 = large_zeros((len(points),))
+    for first in range(0, len(points), AT_ONCE):
+        some = points[first : first + AT_ONCE]
+        upward = np.maximum(np.abs(sources.points.normal[some, 2]), LEAST_UPWARD)
+        out[first : first + AT_ONCE] = np.sqrt(sources.variance(some)) / upward
     return out

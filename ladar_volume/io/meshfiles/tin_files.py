@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.pointfiles.ply_elements import write_elements
+from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
+from ladar_volume.tin.full_tin import corners_of, places_in
 
 
 def check_tin_output(path: str | Path, endings: Sequence[str] = (".ply",)) -> Path:
@@ -65,10 +67,12 @@ def write_columns(
     that they have; whole or not. ``every`` and ``notes`` as in :func:`write_tin`. Returns numbers
     of vertices, faces. Raises :class:`OutputError`.
     """
-    triangles = tin.triangles if every else tin.triangles[tin.relevant]
-    used, inverse = np.unique(triangles, return_inverse=True)
-    vertex = dict(zip("xyz", tin.vertices[used].T, strict=True))
-    face: dict[str, npt.NDArray[Any]] = {"vertex_indices": inverse.reshape(-1, 3).astype(np.int32)}
+    whole = every or bool(tin.relevant.all())
+    triangles = tin.triangles if whole else tin.triangles[tin.relevant]
+    used = corners_of(triangles, len(tin.vertices))
+    number = places_in(used, len(tin.vertices))
+    vertex = dict(zip("xyz", rows_of(tin.vertices, used).T, strict=True))
+    face: dict[str, npt.NDArray[Any]] = {"vertex_indices": number[triangles]}
     if every:
         face["relevant"] = tin.relevant.astype(np.uint8)
     every_column = vertex | {name: c[used] for name, c in columns.items()}

@@ -48,6 +48,8 @@ NAMES = {
 }
 #: Byte order by encoding, empty for text; the word of the header for each.
 ENCODINGS = {"ascii": "", "binary": "<", "binary_big_endian": ">"}
+#: Rows of an element that are written at once.
+AT_ONCE = 1 << 18
 FORMATS = {
     "ascii": "ascii",
     "binary": "binary_little_endian",
@@ -144,7 +146,9 @@ def write_elements(
     with path.open("wb") as file:
         file.write(header_bytes(encoding, comments, elements))
         for columns in elements.values():
-            file.write(_table(columns, ENCODINGS[encoding]).data)
+            for first in range(0, _rows(columns), AT_ONCE):
+                some = {name: c[first : first + AT_ONCE] for name, c in columns.items()}
+                file.write(_table(some, ENCODINGS[encoding]).data)
 
 
 def _rows(columns: Columns) -> int:
