@@ -10,7 +10,7 @@ from mapped_sheet import mapped, platform
 from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.rmls.surface_filter import SurfaceFilter
-from ladar_volume.uncertainty.smoothing import cut_shift
+from ladar_volume.uncertainty.smoothing import cut_shift, own_shift
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.measured_body import solid_of
 from ladar_volume.volume.volume_loads import result_gradients
@@ -127,3 +127,16 @@ def test_cut_and_fill_stay_at_zero_or_more(cut, fill, found, net, is_):
     after = cut - s, fill - (s - net)
     assert min(after) > -1e-12
     assert after[0] - after[1] == pytest.approx(cut - fill - net, abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 1024, 5000])
+def test_the_shift_of_a_result_is_that_of_its_points_moved(count):
+    rng = np.random.default_rng(count)
+    normal, residual = rng.standard_normal((30, 3)), rng.normal(0, 1e-2, 30).astype(np.float32)
+    patches = SimpleNamespace(normal=normal, own_residual=residual)
+    gradient, row = rng.standard_normal((count, 3)), rng.integers(0, 30, count)
+    moved = normal.astype(np.float32).astype(float)[row] * residual.astype(float)[row, None]
+    found = own_shift(gradient, patches, row)
+    assert found == pytest.approx(float((gradient * moved).sum()), rel=1e-10, abs=1e-15)
+    patches.own_residual = residual[:0]
+    assert own_shift(gradient, patches, row) == 0.0
