@@ -8,7 +8,7 @@ Public:
 - ``interpolation``: knots in time, the arc between attitudes and its rotation, for kernels.
 - ``packed_covariance``: symmetric matrices as six numbers. ``hashing``: choice without order.
 - ``normal_equations``: least squares with up to six unknowns, for kernels.
-- ``run_concurrently``: two pieces of work at a time.
+- ``run_concurrently``: two pieces of work at a time. ``large_arrays``: where large arrays lie.
 - ``space_curve``: the order of points along a curve through space.
 - ``sparse_diagonal``: diagonal matrices as sparse arrays.
 """

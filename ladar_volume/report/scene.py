@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.ground.heights import height_above
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Estimate, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, vertex_mask
@@ -125,6 +125,22 @@ class Scene:
         return out
 
 
+@leaf_kernel
+def widen_span(a: F64, b: F64, y: float, size: float, span: F64) -> None:
+    """Widen a span of x (2,) to where the side from a to b (2,) runs within ``size`` of a row."""
+    rise = b[1] - a[1]
+    one, two = 0.0, 1.0
+    if rise != 0.0:
+        one, two = (y - size - a[1]) / rise, (y + size - a[1]) / rise
+        one, two = max(min(one, two), 0.0), min(max(one, two), 1.0)
+    elif abs(a[1] - y) > size:
+        return
+    if one <= two:
+        for share in (one, two):
+            x = a[0] + share * (b[0] - a[0])
+            span[0], span[1] = min(span[0], x), max(span[1], x)
+
+
 @kernel
 def pixel_kernel(
     vertices: F64, triangles: I32, counted: Bool, low: F64, size: float, out: I64
@@ -132,19 +148,25 @@ def pixel_kernel(
     """Write to each pixel (h, w) the lowest number of the ``counted`` (m,) triangles that hold its
     middle, edges included, told exactly; pixels of ``size`` from ``low`` (2,) on.
     """
-    (h, w), work = out.shape, np.zeros(WORKSPACE)
+    (h, w), work, span = out.shape, np.zeros(WORKSPACE), np.empty(2)
     for t in range(len(triangles)):
         if not counted[t]:
             continue
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
         # one more on either side: the middles are rounded, too
-        first_x = int((min(a[0], b[0], c[0]) - low[0]) / size - 1.5)
-        last_x = int((max(a[0], b[0], c[0]) - low[0]) / size + 1.5)
-        first_y = int((min(a[1], b[1], c[1]) - low[1]) / size - 1.5)
-        last_y = int((max(a[1], b[1], c[1]) - low[1]) / size + 1.5)
-        for i in range(max(first_y, 0), min(last_y + 1, h)):
+        first = int((min(a[1], b[1], c[1]) - low[1]) / size - 1.5)
+        last = int((max(a[1], b[1], c[1]) - low[1]) / size + 1.5)
+        for i in range(max(first, 0), min(last + 1, h)):
             y = low[1] + (i + 0.5) * size
-            for j in range(max(first_x, 0), min(last_x + 1, w)):
+            span[0], span[1] = math.inf, -math.inf
+            widen_span(a, b, y, size, span)
+            widen_span(b, c, y, size, span)
+            widen_span(c, a, y, size, span)
+            if span[0] > span[1]:
+                continue
+            left = int((span[0] - low[0]) / size - 1.5)
+            right = int((span[1] - low[0]) / size + 1.5)
+            for j in range(max(left, 0), min(right + 1, w)):
                 x = low[0] + (j + 0.5) * size
                 if out[i, j] >= 0:
                     continue

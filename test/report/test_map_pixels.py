@@ -57,13 +57,15 @@ def test_of_many_triangles_those_at_pixels_are_drawn(monkeypatch):
     assert np.array_equal(*colours)
 
 
-@pytest.mark.parametrize("kind", ["scattered", "grid"])
+@pytest.mark.parametrize("kind", ["scattered", "grid", "fan"])
 def test_pixels_are_those_of_a_search(kind, monkeypatch):
-    """Middles of pixels lie on sides and corners of the grid's triangles."""
+    """Middles of pixels lie on sides and corners of the grid's triangles; a fan's are long."""
     monkeypatch.setattr(scenes, "PIXELS", 16)
     rng = np.random.default_rng(9)
     grid = np.stack(np.meshgrid(np.arange(17.0), np.arange(9.0)), axis=-1).reshape(-1, 2) / 2.0
-    xy = rng.uniform(-3.0, 7.0, (300, 2)) if kind == "scattered" else grid
+    turn = np.linspace(0.1, 1.4, 200)
+    fan = np.vstack([[0.0, 0.0], 9.0 * np.column_stack([np.cos(turn), np.sin(turn)])])
+    xy = {"scattered": rng.uniform(-3.0, 7.0, (300, 2)), "grid": grid, "fan": fan}[kind]
     scene = scene_of(xy, True)
     pixels, index = scene.pixels, triangle_index(scene.tin, scene.counted)
     west, east, south, north = pixels.extent
