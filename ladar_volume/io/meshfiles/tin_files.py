@@ -11,10 +11,8 @@ import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.pointfiles.ply_elements import write_elements
-from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
-from ladar_volume.tin.full_tin import corners_of, places_in
 
 
 def check_tin_output(path: str | Path, endings: Sequence[str] = (".ply",)) -> Path:
@@ -69,9 +67,12 @@ def write_columns(
     """
     whole = every or bool(tin.relevant.all())
     triangles = tin.triangles if whole else tin.triangles[tin.relevant]
-    used = corners_of(triangles, len(tin.vertices))
-    number = places_in(used, len(tin.vertices))
-    vertex = dict(zip("xyz", rows_of(tin.vertices, used).T, strict=True))
+    corner, number = np.zeros(len(tin.vertices), np.bool_), np.zeros(len(tin.vertices), np.int32)
+    corner[triangles] = True
+    used = np.flatnonzero(corner)
+    number[used] = np.arange(len(used), dtype=np.int32)
+    vertices = tin.vertices if len(used) == len(corner) else tin.vertices[used]
+    vertex = dict(zip("xyz", vertices.T, strict=True))
     face: dict[str, npt.NDArray[Any]] = {"vertex_indices": number[triangles]}
     if every:
         face["relevant"] = tin.relevant.astype(np.uint8)
