@@ -132,16 +132,15 @@ class WholeSurface:
         of_tile = merged_points(Parts(points), [1], LatestUpdate([key], [1]))
         at = ragged_index(self._first_point, np.sort(place))
         for name, rows in vars(of_tile).items():
-            if name not in self._points:
-                shape = (int(self._first_point[-1]), *rows.shape[1:])
-                self._points[name] = file_array(self._folder, shape, rows.dtype)
-            self._points[name][at] = rows
+            self._rows_of(self._points, name, self._first_point[-1], rows)[at] = rows
         held = prepare_patches(found.patches)
         bins = ragged_index(self._bins, place)
         for name in (*ROWS, *HELD):
-            self._rows_of(name, len(self._place), getattr(held, name))[place] = getattr(held, name)
+            rows = getattr(held, name)
+            self._rows_of(self._made, name, len(self._place), rows)[place] = rows
         for name in BINS:
-            self._rows_of(name, self._bins[-1], getattr(held, name))[bins] = getattr(held, name)
+            rows = getattr(held, name)
+            self._rows_of(self._made, name, self._bins[-1], rows)[bins] = rows
 
     def _take_blocks(self, found: TilePatches, place: I64) -> None:
         """What each patch shares with those of higher keys; all factors are known."""
@@ -149,15 +148,16 @@ class WholeSurface:
         other, at = patches.cross_key, ragged_index(self._blocks, place)
         keys, factor = self._made["key"], self._made["factor"]
         packed = block_kernel(patches.key, patches.cross_start, other, patches.cross, keys, factor)
-        self._rows_of("cross_key", self._blocks[-1], other)[at] = other
-        self._rows_of("cross", self._blocks[-1], packed)[at] = packed
+        self._rows_of(self._made, "cross_key", self._blocks[-1], other)[at] = other
+        self._rows_of(self._made, "cross", self._blocks[-1], packed)[at] = packed
 
-    def _rows_of(self, name: str, rows: int, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The array of that name, of so many rows like those given."""
-        if name not in self._made:
-            shape = (rows, *like.shape[1:])
-            self._made[name] = file_array(self._folder, shape, like.dtype)
-        return self._made[name]
+    def _rows_of(
+        self, made: dict[str, npt.NDArray[Any]], name: str, rows: int, like: npt.NDArray[Any]
+    ) -> npt.NDArray[Any]:
+        """The array of that name among those made, of so many rows like those given."""
+        if name not in made:
+            made[name] = file_array(self._folder, (int(rows), *like.shape[1:]), like.dtype)
+        return made[name]
 
 
 def starts_of(count: I64) -> I64:

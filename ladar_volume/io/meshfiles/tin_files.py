@@ -67,6 +67,7 @@ def write_columns(
     """
     whole = every or bool(tin.relevant.all())
     triangles = tin.triangles if whole else tin.triangles[tin.relevant]
+    # without compiled code: a process that only logs loads none
     corner, number = np.zeros(len(tin.vertices), np.bool_), np.zeros(len(tin.vertices), np.int32)
     corner[triangles] = True
     used = np.flatnonzero(corner)

@@ -299,10 +299,11 @@ def with_cover(
     part: F64,
     volume: Volume,
     passes: PassAgreement,
+    on_face: Bool,
     parameters: Parameters,
 ) -> Volume:
     """The volume with what grows on its ground, or on the body: as the user knows it, or where one
-    scatters more than the other.
+    scatters more than the other. on_face : (n,) vertices on steep faces
     """
     v = parameters.volume
     known = known_cover(v, len(footing.base.support) > 0)
@@ -312,7 +313,6 @@ def with_cover(
     told, sigma = known.correction(tin, footing.base, part, v.object_height_m)
     found, doubts = cover_sigma(ground, body, volume.area_m2, volume.volume_m3)
     scatter = survey.patches.sigma[survey.sources.geometry.row[tin.source]]
-    on_face = steep(survey.normal)
     radius_m = parameters.filter.radius_m
     bush = 0.0 if known.body else bush_volume(tin, part, scatter, on_face, radius_m)
     doubts = doubts or bush_doubts(bush, volume.sigma_m3)
@@ -523,15 +523,14 @@ def assess_field(
     """A body's volume with every line and doubt of the field. ask : makes the slow checks, or
     gives what they found before · objects : that were taken out of the surface.
     """
-    part = body.part
+    part, on_face = body.part, steep(survey.normal)
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
-    volume = with_cover(survey, footing, part, volume, passes, parameters)
+    volume = with_cover(survey, footing, part, volume, passes, on_face, parameters)
     volume = with_change(volume, *ask("change", lambda: change_of(survey, part, passes.change)))
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, body, volume, parameters, ask)
     tin = survey.tin
-    on_face = steep(survey.normal)
     volume = with_objects(volume, objects)
     # a cut or a further body may be what makes the readings of the base differ
     chosen_m6 = volume.budget_m6.get("base_model", 0.0)

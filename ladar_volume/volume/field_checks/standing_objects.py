@@ -25,7 +25,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Plane, StandingObjec
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
 from ladar_volume.tin.locate import height_at
-from ladar_volume.volume.outline import bodies
+from ladar_volume.volume.outline import labelled_bodies
 
 #: Steeper than any loose material, and higher than a step (m): such an edge parts the surface.
 STEEP, STEP_M = math.tan(math.radians(55.0)), 0.25
@@ -156,11 +156,11 @@ def standing_vertices(
     own = np.zeros(len(size), np.bool_)
     own[steps.ground] = True
     if p.outline == "auto":
-        found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
-        for body in found:
-            count = np.bincount(cut.label[vertex_mask(tin, body)], minlength=len(own))
+        label, kept = labelled_bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
+        for body in kept:
+            count = np.bincount(cut.label[vertex_mask(tin, label == body)], minlength=len(own))
             own[int(np.argmax(count))] = True
-            if body is found[0] and int(np.argmax(count)) != steps.ground:
+            if body == kept[0] and int(np.argmax(count)) != steps.ground:
                 return none
     standing = standing_parts(steps, own)
     if more_on_ground(steps, standing):
