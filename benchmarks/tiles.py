@@ -1,7 +1,7 @@
 """What ``ladar_volume tiles`` costs: time and memory by points and workers.
 
-    python benchmarks/tiles.py 1000000 FOLDER
-    python benchmarks/tiles.py 1000000 FOLDER --clean off --relevant all --sigma 0.02
+    python -m benchmarks.tiles 1000000 FOLDER
+    python -m benchmarks.tiles 1000000 FOLDER --clean off --relevant all --sigma 0.02
 
 writes a simulated cloud of so many points (in pieces; strips along x, 10 points/m², noise of 2 cm)
 once, and prints a line of a table for 0 workers (this process), 1 and 2. What follows the folder
@@ -11,17 +11,16 @@ are options of the verb.
 from __future__ import annotations
 
 import json
-import resource
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import laspy
 import numpy as np
-import psutil
+
+from benchmarks.watched import Watched
 
 PIECE = 500_000
 DENSITY = 10.0
@@ -43,38 +42,23 @@ def write_cloud(path: Path, points: int) -> None:
             file.write_points(record)
 
 
-def peak_of(process: subprocess.Popen[str], seen: dict[int, int]) -> None:
-    """The largest resident memory of a process and of each below it, by number, bytes."""
-    root = psutil.Process(process.pid)
-    while process.poll() is None:
-        try:
-            for one in [root, *root.children(recursive=True)]:
-                seen[one.pid] = max(seen.get(one.pid, 0), one.memory_info().rss)
-        except psutil.Error:
-            pass
-        time.sleep(0.1)
-
-
 def measure(cloud: Path, workers: int, store: Path) -> None:
     """One line of the table."""
     shutil.rmtree(store, ignore_errors=True)
     words = [sys.executable, "-m", "ladar_volume.cli.main", "tiles", str(cloud)]
     words += ["--level", "10", "--json", "--store", str(store), *sys.argv[3:]]
     words += ["--dask", "--workers", str(workers)] if workers else []
-    start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    seen: dict[int, int] = {}
-    watch = threading.Thread(target=peak_of, args=(process, seen))
-    watch.start()
+    watched = Watched(process)
     facts = json.loads(process.communicate()[0])
-    watch.join()
-    took, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    watched.join()
+    took = time.perf_counter() - start
     bytes_at_rest = sum(p.stat().st_size for p in store.rglob("*") if p.is_file())
     points = facts["tiles"]["points"]
     print(
         f"| {points:.0e} | {workers} | {facts['tiles']['count']} | {took:.1f} "
-        f"| {cpu:.1f} | {max(seen.values()) / 2**20:.0f} "
+        f"| {watched.cpu_s:.1f} | {watched.largest / 2**20:.0f} "
         f"| {bytes_at_rest / points:.0f} | {facts['net_m3']:.6f} | {facts['sigma_m3']:.6f} |",
         flush=True,
     )

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -47,7 +48,7 @@ from ladar_volume.volume.field_checks.cut_bodies import (
     cut_sides,
     missing_m6,
 )
-from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts, seen_above
 from ladar_volume.volume.field_checks.standing_objects import APART_M
 from ladar_volume.volume.field_checks.steep_faces import enclosed_m6, wall_m6
 from ladar_volume.volume.outline import components
@@ -180,7 +181,8 @@ def with_pair_gaps(
         if not len(gaps.areas):
             continue
         level = design_surface([float(np.median(tin.vertices[:, 2]))])
-        found = bridged_volume(tin, level, inside, surface.vertex_variance, gaps)
+        seen = partial(seen_above, tin, level, surface.vertex_variance)
+        found = bridged_volume(tin, level, inside, gaps, seen)
         size = volume.cut_m3 + volume.fill_m3
         doubts += gap_doubts(found, gaps.area_m2, volume.area_m2, size, volume.sigma_m3)
         cut, fill = with_net(volume.cut_m3, volume.fill_m3, sign * found.more_m3)

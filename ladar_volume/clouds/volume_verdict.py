@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -41,13 +42,14 @@ from ladar_volume.volume.field_checks.base_readings import (
     doubted_m6,
     unsettled,
 )
-from ladar_volume.volume.field_checks.completeness import completeness_doubts
+from ladar_volume.volume.field_checks.completeness import surroundings_of
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.gaps import (
     BridgedVolume,
     bridged_volume,
     find_gaps,
     gap_doubts,
+    seen_above,
 )
 from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.plant_cover import known_cover
@@ -260,7 +262,8 @@ def with_gaps(
     gaps = find_gaps(tin, inside, surface.spacing_m)
     if not len(gaps.areas):
         return volume, gap_mask, []
-    found = bridged_volume(tin, base, inside, surface.vertex_variance, gaps)
+    seen = partial(seen_above, tin, base, surface.vertex_variance)
+    found = bridged_volume(tin, base, inside, gaps, seen)
     known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
     gap_mask = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
     volume, doubts = with_bridged(volume, found, gaps.area_m2, outline)
@@ -390,15 +393,15 @@ def volume_with_verdict(
     if by_body or any(doubt.name == "object" for doubt in doubts):
         faces = faces_around(surface, base, inside, v.object_height_m)
     if by_body:
-        doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
+        edges = surroundings_of(tin, base, inside, faces, parameters)
+        doubts += edges.doubts(found.sigma_m3, parameters)
         doubts += beside_doubts(surface.objects, within, (v.min_body_m3, found.net_m3))
     elif v.outline == "all":
         doubts += notch_doubts(tin, base, found.cut_m3 + found.fill_m3, found.sigma_m3)
     found = with_missing(found, tin, base, (inside, faces), doubts, parameters)
     own = with_growth if readings is not None else with_layers
     found, more = own(with_readings(found, readings, doubts), surface, base, inside, v)
-    found = with_known_cover(found, tin, base, inside, v)
-    return found, Verdict((*doubts, *more))
+    return with_known_cover(found, tin, base, inside, v), Verdict((*doubts, *more))
 
 
 def with_layers(

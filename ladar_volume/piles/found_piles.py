@@ -10,7 +10,7 @@ from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import ground_and_outline
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import Pile
-from ladar_volume.volume.base import area_by_body
+from ladar_volume.volume.base import body_of_each
 from ladar_volume.volume.outline import boundary_loop
 
 
@@ -23,6 +23,8 @@ def found_piles(surface: CloudSurface, parameters: Parameters) -> list[Pile]:
     own = dataclasses.replace(parameters, volume=volume)
     tin = surface.representation.tin
     base, inside = ground_and_outline(tin, surface.vertex_variance, own)
-    rings = [boundary_loop(tin, m > 0) for m in area_by_body(tin, base, inside, volume)]
-    rings = [np.ascontiguousarray(ring) for ring in rings if len(ring) >= 3]
+    body, count = body_of_each(tin, base, inside, volume)
+    masks = [inside > 0] if body is None else (body == number for number in range(count))
+    rings = [np.ascontiguousarray(boundary_loop(tin, mask)) for mask in masks]
+    rings = [ring for ring in rings if len(ring) >= 3]
     return [Pile(f"pile {number}", ring, is_found=True) for number, ring in enumerate(rings, 1)]

@@ -40,7 +40,7 @@ from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.uncertainty.ground_field import Roughness
 from ladar_volume.volume.field_checks.base_readings import below_base, doubted_m6
 from ladar_volume.volume.field_checks.completeness import wall_doubts
-from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
+from ladar_volume.volume.field_checks.cut_bodies import body_cut, cut_doubts
 from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
 
 #: Share of an outline without surface of which there is a word.
@@ -114,7 +114,8 @@ def pile_with_verdict(
     rise, mask = parameters.volume.object_height_m, inside > 0
     if requested.readings is None:
         volume, doubts = with_growth(volume, surface, ground, inside, parameters.volume)
-    doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
+    own = ground_parameters(parameters)
+    doubts += cut_doubts(body_cut(part.tin, ground, mask, own.volume), volume.sigma_m3, own)
     faces = faces_around(surface, ground, inside, rise)
     doubts += wall_doubts(part.tin, ground, mask, faces, rise)
     if part.pile.is_found:

@@ -15,9 +15,9 @@ from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.math.large_arrays import in_its_room
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
-from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
-from ladar_volume.volume.outline import bodies, labelled_bodies, shares, surroundings, widen_body
+from ladar_volume.volume.outline import labelled_bodies, nearest_bodies, surroundings, widen_body
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Base and outline settle in two or three rounds; the first repetition ends it, with what the
@@ -125,15 +125,16 @@ def body_outline(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, 
     return known[key]
 
 
-def area_by_body(tin: Tin, base: Plane, inside: F64, p: VolumeParameters) -> list[F64]:
-    """The area (m,) m² of each triangle inside the outline, body by body, the main one first; they
-    add up to ``inside``.
+def body_of_each(tin: Tin, base: Plane, inside: F64, p: VolumeParameters) -> tuple[I32 | None, int]:
+    """The number of the body that each triangle inside the outline (m,) goes to, the main one's 0,
+    -1 outside, and how many bodies there are; None for one that has all.
     """
     if p.outline != "auto" or p.bodies == 1:
-        return [inside]
-    found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
-    of = shares(tin, inside > 0, found)
-    return [in_its_room(np.where(share, inside, 0.0)) for share in of]
+        return None, 1
+    label, kept = labelled_bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
+    if len(kept) == 1:
+        return None, 1
+    return in_its_room(nearest_bodies(tin, inside > 0, label, kept)), len(kept)
 
 
 def all_grounds(

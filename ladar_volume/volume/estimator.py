@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple
 
@@ -36,6 +36,8 @@ from ladar_volume.uncertainty.patch_table import PatchStore
 from ladar_volume.uncertainty.volume_budget import Sources, vertical_sigma
 from ladar_volume.volume.base import all_grounds
 from ladar_volume.volume.field_checks.field_verdict import (
+    BodyInField,
+    SurveyInField,
     assess_field,
     bridged_footing,
     passes_of,
@@ -52,6 +54,7 @@ from ladar_volume.volume.measured_body import (
     Footing,
     MeasuredBody,
     SurveyedSurface,
+    body_surface,
     footing_of,
     joint_sigma,
     measure_body,
@@ -59,9 +62,7 @@ from ladar_volume.volume.measured_body import (
     volume_of,
 )
 from ladar_volume.volume.more_data import MoreData, more_data
-from ladar_volume.volume.volume_loads import (
-    result_gradients,
-)
+from ladar_volume.volume.volume_loads import KeepRoughness, result_gradients
 
 #: Bodies whose joint covariance is computed: the work grows with the number of pairs.
 MAX_JOINT = 8
@@ -180,46 +181,65 @@ class VolumeEstimator:
         ``ask_all`` what the slow checks found before counts, while the bodies are the same.
         """
         survey, footing, objects = on_base
-        found = self._findings_on(survey.tin, footing.parts, ask_all)
+        found = self._findings_on(survey.tin, footing, ask_all)
         keep = partial(found.of_survey, "roughness")
-        bodies, passes = run_concurrently(
-            lambda: [
-                measure_body(survey, footing, p, self.parameters, naive, keep)
-                for p in footing.parts
-            ],
+        (main, volumes), passes = run_concurrently(
+            lambda: self._measured(survey, footing, naive, keep),
             lambda: found.of_survey("passes", lambda: passes_of(survey, footing, self.parameters)),
         )
-        self._main = survey, footing, bodies[0]
-        volumes = tuple(
-            volume_of(survey, footing, body, self.parameters, self._t_ns) for body in bodies
-        )
+        self._main = survey, footing, main
         joint = joint_covariance(
             [v.sigma_m3**2 for v in volumes],
             lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters, keep) ** 2,
         )
         check = self.parameters.volume.budget_check
         larger = np.sqrt([variance_ratio(v, passes.agreement, check) for v in volumes])
-        volumes = tuple(
-            assess_field(
-                survey, footing, body, volume, passes, self.parameters, found.of_body(k), own
-            )
-            for k, (body, volume, own) in enumerate(
-                zip(bodies, volumes, objects_by_body(objects, volumes), strict=True)
-            )
-        )
+        field = SurveyInField(survey, footing, passes, self.parameters)
+        volumes = self._assessed(field, main, volumes, objects, found)
         volumes = with_choice(volumes, self.parameters.tin, self._usual_volumes)
         self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)
         if joint is not None:  # what two bodies share, and what each has of its own
             joint *= larger[:, None] * larger
             np.fill_diagonal(joint, [v.sigma_m3**2 for v in volumes])
-        base, grounds = self._grounds(survey, footing, bodies[0])
+        base, grounds = self._grounds(survey, footing, main)
         return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)
 
-    def _findings_on(self, tin: Tin, parts: Sequence[F64], ask_all: bool) -> Findings:
+    def _measured(
+        self, survey: SurveyedSurface, footing: Footing, naive: bool, keep: KeepRoughness
+    ) -> tuple[MeasuredBody, tuple[Volume, ...]]:
+        """The main body, and the volume of each; what others need meanwhile is held for one."""
+        radius_m = self.parameters.filter.radius_m
+
+        def measured(number: int) -> tuple[MeasuredBody, Volume]:
+            on = body_surface(survey, footing, footing.part(number), radius_m)
+            body = measure_body(survey, footing, on, self.parameters, naive, keep, number == 0)
+            return body, volume_of(footing, body, self.parameters, self._t_ns)
+
+        main, volume = measured(0)
+        return main, (volume, *(measured(number)[1] for number in range(1, footing.bodies)))
+
+    def _assessed(
+        self,
+        field: SurveyInField,
+        main: MeasuredBody,
+        volumes: tuple[Volume, ...],
+        objects: tuple[StandingObject, ...],
+        found: Findings,
+    ) -> tuple[Volume, ...]:
+        """The volumes with every line and doubt of the field; bodies are on one ground."""
+        radius_m, out = self.parameters.filter.radius_m, list[Volume]()
+        each = zip(volumes, objects_by_body(objects, volumes), field.footing.parts(), strict=True)
+        for number, (volume, own, part) in enumerate(each):
+            on = body_surface(field.survey, field.footing, part, radius_m)
+            body = BodyInField(on, main.rough, own)
+            out.append(assess_field(field, body, volume, found.of_body(number)))
+        return tuple(out)
+
+    def _findings_on(self, tin: Tin, footing: Footing, ask_all: bool) -> Findings:
         """What the slow checks found of these bodies before, or nothing yet."""
         found = self._findings
-        if ask_all or found is None or not found.suit(tin, parts):
-            found = self._findings = Findings(tin, parts)
+        if ask_all or found is None or not found.suit(tin, footing.parts()):
+            found = self._findings = Findings(tin, footing.parts())
         return found
 
     def _usual_volumes(self) -> tuple[Volume, ...]:
@@ -247,13 +267,11 @@ class VolumeEstimator:
         return Losses({**counts, "point_mixed": self._mixed_count})
 
     @property
-    def parts(self) -> tuple[F64, ...]:
-        """Area (t,) m² of each triangle that counts in the last estimate, by body, the main one
-        first. Raises :class:`VolumeError` without one.
-        """
+    def footing(self) -> Footing:
+        """Base and bodies of the last estimate. Raises :class:`VolumeError` without one."""
         if self._main is None:
             raise VolumeError("no estimate yet", reason="volume_no_estimate")
-        return self._main[1].parts
+        return self._main[1]
 
     def more_data(self) -> MoreData:
         """Where another pass would make sigma of the present estimate's main body smaller. Raises
@@ -264,12 +282,18 @@ class VolumeEstimator:
         survey, footing, body = self._main
         sources, surface = survey.sources, survey.surface
         gradient = result_gradients(
-            survey.tin, footing.base, body.solid, len(sources.points), surface, coefficients=False
+            survey.tin,
+            footing.base,
+            body.solid,
+            len(sources.points),
+            surface,
+            coefficients=False,
+            vertex=body.on.vertex,
         )[:, 0]
         sigma_z = vertical_sigma(sources, survey.tin.source)
         return more_data(
             survey.tin,
-            body.part > 0,
+            body.on.whole > 0,
             gradient,
             sources,
             sigma_z,

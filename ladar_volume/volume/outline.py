@@ -21,14 +21,6 @@ def components(tin: Tin, mask: Bool) -> I32:
     return np.asarray(parts_kernel(tin.neighbours, mask))
 
 
-def bodies(
-    tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0
-) -> list[Bool]:
-    """Triangles (m,) of each of the bodies of :func:`labelled_bodies`, the largest first."""
-    label, kept = labelled_bodies(tin, base, object_height_m, count, least_m3)
-    return [label == k for k in kept]
-
-
 def labelled_bodies(
     tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0
 ) -> tuple[I32, list[int]]:
@@ -89,23 +81,28 @@ def words_of_pit(area_m2: float, depth_m: float, x_m: float, y_m: float) -> str:
     )
 
 
-def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
-    """The triangles (m,) of an outline around several bodies, each given to the body with the
-    vertex nearest to its centroid.
+def nearest_bodies(tin: Tin, outline: Bool, label: I32, kept: list[int]) -> I32:
+    """Which of the bodies of :func:`labelled_bodies`, by their place in ``kept``, each triangle
+    (m,) of an outline around them goes to: its own, or that with the vertex nearest to its
+    centroid; -1 off the outline.
     """
-    if len(found) == 1:
-        return [outline.copy()]
-    within = np.flatnonzero(outline)
-    middle = tin.vertices[tin.triangles[within], :2].mean(axis=1)
-    distance = [
-        np.asarray(cKDTree(tin.vertices[vertex_mask(tin, body), :2]).query(middle)[0])
-        for body in found
-    ]
-    nearest = np.full(len(tin.triangles), -1)
-    nearest[within] = np.argmin(distance, axis=0)
-    for number, body in enumerate(found):
-        nearest[body] = number
-    return [outline & (nearest == number) for number in range(len(found))]
+    place = np.full(int(label.max()) + 2, -1, np.int32)  # the last is that of no body
+    place[kept] = np.arange(len(kept), dtype=np.int32)
+    out = np.where(outline, place[label], np.int32(-1))
+    rest = np.flatnonzero(outline & (out < 0))
+    if not len(rest):
+        return out
+    if len(kept) == 1:
+        out[rest] = 0
+        return out
+    body = np.full(len(tin.vertices), -1, np.int32)
+    rows = np.flatnonzero(out >= 0)
+    rows = rows[np.argsort(-out[rows], kind="stable")]  # at a vertex of two the larger body counts
+    body[tin.triangles[rows]] = out[rows, None]
+    own = np.flatnonzero(body >= 0)
+    middle = tin.vertices[tin.triangles[rest], :2].mean(axis=1)
+    out[rest] = body[own[np.asarray(cKDTree(tin.vertices[own, :2]).query(middle)[1])]]
+    return out
 
 
 def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:

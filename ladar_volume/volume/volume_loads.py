@@ -74,6 +74,7 @@ def result_gradients(
     surface: RepresentedSurface | None = None,
     inverse: F64 | None = None,
     coefficients: bool = True,
+    vertex: I64 | None = None,
 ) -> F64:
     """Gradients (points, k, 3) by the points the TIN was built from: of the net volume and, where
     the base was fitted and its ``coefficients`` are asked for, of each of these; for a partial TIN,
@@ -81,7 +82,7 @@ def result_gradients(
 
     The volume's gradient holds both ways in: through the surface, and through the points that
     define the base (step 2). inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`,
-    where known.
+    where known · vertex : (v,) vertices that the solid is told by, by default all
     """
     adjusted = surface is not None and surface.fit is not None
     place, rows = (
@@ -92,7 +93,8 @@ def result_gradients(
         :, : None if fitted and coefficients else 1
     ]
     out = large_zeros((rows, by_beta.shape[1], 3))
-    place_kernel(solid.gradient_cut, solid.gradient_fill, place, out)
+    own = place if vertex is None else place[vertex]
+    place_kernel(solid.gradient_cut, solid.gradient_fill, own, out)
     if fitted:
         add_ground_gradient(out, place, tin.vertices, base, by_beta, inverse)
     return out if surface is None or not adjusted else surface.by_points(out, points)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 from volume_surfaces import cone, platform, surface_update
 
 from ladar_volume.ground.polynomial import base_height, design_surface
@@ -17,9 +18,10 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Plane
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.volume.base import area_by_body, area_inside
+from ladar_volume.volume.base import area_inside, body_of_each
 from ladar_volume.volume.estimator import MAX_JOINT, VolumeEstimator, joint_covariance
-from ladar_volume.volume.outline import bodies, shares
+from ladar_volume.volume.measured_body import Footing
+from ladar_volume.volume.outline import labelled_bodies, nearest_bodies
 
 LARGE, SMALL = math.pi * 16.0, math.pi * 4.0 * 2.0 / 3.0
 
@@ -76,7 +78,10 @@ def test_an_outline_of_another_kind_is_no_matter_of_bodies():
     one, two = cone(xy[:, 0] - 5, xy[:, 1] - 10, 3.0), cone(xy[:, 0] - 14, xy[:, 1] - 10, 3.0, 2.0)
     tin, base = build_tin(np.c_[xy, np.maximum(one, two)]), design_surface([0.0])
     volume = Parameters.read({"volume": {"bodies": 2, "object_height_m": 0.2}}).volume
-    parts = area_by_body(tin, base, inside := area_inside(tin, base, volume), volume)
+    body, count = body_of_each(tin, base, inside := area_inside(tin, base, volume), volume)
+    assert count == 2 and np.array_equal(body >= 0, inside > 0)
+    footing = Footing(base, inside, body, count, None)
+    parts = list(footing.parts())
     assert len(parts) == 2 and np.array_equal(parts[0] + parts[1], inside)
     middle = tin.vertices[tin.triangles, 0].mean(axis=1)
     assert middle[parts[0] > 0].max() < 10.0 < middle[parts[1] > 0].min()
@@ -84,8 +89,8 @@ def test_an_outline_of_another_kind_is_no_matter_of_bodies():
     for other in ({"outline": "all"}, {"outline": "polygon", "polygon_m": square}):
         drawn = dataclasses.replace(volume, **other)
         inside = area_inside(tin, base, drawn)
-        whole = area_by_body(tin, base, inside, drawn)
-        assert len(whole) == 1 and np.array_equal(whole[0], inside)
+        assert body_of_each(tin, base, inside, drawn) == (None, 1)
+        assert Footing(base, inside, None, 1, None).part(0) is inside
 
 
 def test_a_common_error_correlates_the_bodies_fully():
@@ -127,12 +132,23 @@ def test_an_outline_is_shared_by_the_nearest_body():
         cone(xy[:, 0] - 5, xy[:, 1] - 10, 3.0), cone(xy[:, 0] - 14, xy[:, 1] - 10, 3.0, 2.0)
     )
     tin = build_tin(np.c_[xy, z])
-    found = bodies(tin, design_surface([0.0]), 0.2, 0)
-    assert len(found) == 2
-    parts = shares(tin, tin.relevant, found)
-    assert (parts[0] ^ parts[1]).sum() == tin.relevant.sum() and not (parts[0] & parts[1]).any()
-    x = tin.vertices[tin.triangles, 0].mean(axis=1)
-    assert x[parts[0]].max() < 10.5 and x[parts[1]].min() > 9.0
+    label, kept = labelled_bodies(tin, design_surface([0.0]), 0.2, 0)
+    assert len(kept) == 2
+    found = nearest_bodies(tin, tin.relevant, label, kept)
+    assert set(found) == {0, 1}
+    # the twin asks each body for its vertex nearest to each centroid
+    middle = tin.vertices[tin.triangles, :2].mean(axis=1)
+    far = []
+    for body in kept:
+        own = tin.vertices[np.unique(tin.triangles[label == body]), :2]
+        far.append(cdist(middle, own).min(axis=1))
+        assert (found[label == body] == kept.index(body)).all()
+    free = ~np.isin(label, kept) & (np.abs(far[0] - far[1]) > 1e-9)
+    assert np.array_equal(found[free], np.argmin(far, axis=0)[free])
+    half = nearest_bodies(tin, middle[:, 1] < 10.0, label, kept)
+    assert np.array_equal(half, np.where(middle[:, 1] < 10.0, found, -1))
+    one = nearest_bodies(tin, tin.relevant, label, kept[:1])
+    assert not one.any()
 
 
 def terrace_with_pile(x, y):

@@ -13,7 +13,7 @@ from ladar_volume.volume import estimator as stage
 from ladar_volume.volume.field_checks import field_verdict
 from ladar_volume.volume.field_checks.findings import Findings, area_and_centre
 
-CHECKS = ("null_volumes", "base_readings", "completeness_doubts", "cut_m6")
+CHECKS = ("null_volumes", "readings_on", "surroundings_of", "cut_m6")
 
 
 def cut_pile(x, y):
@@ -47,7 +47,7 @@ def test_between_two_checks_the_volume_is_that_of_the_checks(asked, seen):
     e = estimator_of(seen=seen)
     whole = e.estimate()
     once = dict(asked)
-    assert once["null_volumes"] == once["passes_of"] == once["completeness_doubts"] == 1
+    assert once["null_volumes"] == once["passes_of"] == once["surroundings_of"] == 1
     assert once["cut_m6"] == (seen is not None)
     between = e.estimate(ask_all=False)
     assert asked == once

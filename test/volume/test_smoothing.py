@@ -80,7 +80,7 @@ def test_it_is_the_gradient_times_the_residuals_point_by_point():
     e = estimator(1.0, 9, 15_000)
     v = e.estimate().volume
     survey, footing, _ = e.base(e.survey())
-    solid = solid_of(survey.tin, footing.base, footing.parts[0], e.parameters)
+    solid = solid_of(survey.tin, footing.base, footing.part(0), e.parameters)
     gradient = result_gradients(
         survey.tin, footing.base, solid, len(survey.points), survey.surface
     )[:, 0]

@@ -8,13 +8,13 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import count, groupby
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.results import finite, json_text, output_folder, write_text
 from ladar_volume.io.site.survey_files import SurveyFile, companions, key_of, survey_files
 from ladar_volume.model.errors import ConfigurationError, InputError, LadarVolumeError
+from ladar_volume.process.interrupts import interrupts_wait
 from ladar_volume.version import version
 
 #: Options that change no number.
@@ -163,6 +164,7 @@ def compute_all(
     with (
         Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
         pool as workers,
+        workers_end(),
     ):
         task = bar.add_task("surveys", total=len(surveys))
         plain_task = argparse.Namespace(**{k: v for k, v in vars(a).items() if k != "run"})
@@ -172,15 +174,29 @@ def compute_all(
                 out[survey.key] = keep(kept, survey, facts_of(plain_task, survey.file.path))
                 bar.advance(task)
             return out
-        waiting: dict[Future[dict[str, Any]], Survey] = {
-            workers.submit(facts_of, plain_task, s.file.path): s for s in surveys
-        }
+        with interrupts_wait():
+            waiting: dict[Future[dict[str, Any]], Survey] = {
+                workers.submit(facts_of, plain_task, s.file.path): s for s in surveys
+            }
         for done in as_completed(waiting):
             survey, error = waiting[done], done.exception()
             facts = {"error": f"its worker ended: {error}"} if error else done.result()
             out[survey.key] = keep(kept, survey, facts)
             bar.advance(task)
     return out
+
+
+@contextmanager
+def workers_end() -> Iterator[None]:
+    """An interrupt, or an error, ends workers as they are: what is not kept is computed by the next
+    run.
+    """
+    try:
+        yield
+    except BaseException:
+        for worker in active_children():
+            worker.terminate()
+        raise
 
 
 def one_thread() -> None:

@@ -62,11 +62,11 @@ def survey_deliverable(
     if estimator.parameters.volume.outline == "polygon":
         corners = polygon_of(estimator.parameters.volume)
         rings.append(at(np.column_stack([corners, np.zeros(len(corners))]))[:, :2])
-    faces = [faces_volume(own, base_m, part, rings) for part in estimator.parts]
+    faces = [faces_volume(own, base_m, part, rings) for part in estimator.footing.parts()]
     return Deliverable(
         name=plain_words(str(result["input"]["path"])),
         tin=own,
-        counted=np.sum(estimator.parts, axis=0) > 0.0,
+        counted=estimator.footing.inside > 0.0,
         base_m=base_m,
         other=None,
         sigma_m=sigma[tin.source],

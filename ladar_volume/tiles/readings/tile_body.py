@@ -25,7 +25,7 @@ from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import surface_of
 from ladar_volume.tin.full_tin import footprint_areas, places_in, vertex_mask
 from ladar_volume.volume.field_checks.completeness import stands_on_faces, wall_doubts
-from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
+from ladar_volume.volume.field_checks.cut_bodies import body_cut, cut_doubts
 from ladar_volume.volume.field_checks.standing_objects import AROUND_M
 
 #: Vertices of a body and what is beside it, at most.
@@ -103,7 +103,7 @@ def judged_body(of: TiledCloud, task: BodyTask) -> JudgedBody:
     base, v = task.region.base, task.parameters.volume
     area = np.where(inside, footprint_areas(tin.vertices, tin.triangles), 0.0)
     faces = steep_edges(tin, max(2.0 * v.object_height_m, CLIMB * task.scatter_m))
-    doubts = cut_doubts(tin, base, inside, task.sigma_m3, task.parameters)
+    doubts = cut_doubts(body_cut(tin, base, inside, v), task.sigma_m3, task.parameters)
     if not stands_on_faces(tin, base, inside, v.object_height_m):
         doubts += wall_doubts(tin, base, inside, faces, v.object_height_m)
     every = [*task.objects, *doubts]

@@ -164,38 +164,81 @@ def residual_field(xy: F64, residual: F64, noise: F64, parameters: int) -> Rough
     return dataclasses.replace(rough, spacing_m=mean_spacing(xy))
 
 
+class GroundSeen(NamedTuple):
+    """The ground that a base was fitted to, the same for all bodies on it. xy : (n, 2) m · residual
+    : (n,) m off the base · noise : (n,) m² of these · origin, scale : m, of the polynomials ·
+    higher : degree of the other one · rough : field of what is off that · spread_m : its standard
+    deviation
+    """
+
+    xy: F64
+    residual: F64
+    noise: F64
+    origin: F64
+    scale: float
+    higher: int
+    rough: Roughness
+    spread_m: float
+
+
+def ground_seen(tin: Tin, base: Plane, height_variance: F64) -> GroundSeen | None:
+    """The ground of a base; None for few points, as above a base that is given. height_variance :
+    (n,) m² of the vertices
+    """
+    if len(base.support) < FEWEST:
+        return None
+    xy = tin.vertices[base.support, :2]
+    e = tin.vertices[base.support, 2] - base_height(base, xy)
+    noise = height_variance[base.support]
+    origin, scale = xy.mean(axis=0), max(float(np.ptp(xy, axis=0).max()), 1e-9)
+    higher = min(degree_of(base) + 1, 2)
+    X = design((xy - origin) / scale, np.zeros(2), higher)
+    left = e - X @ np.linalg.lstsq(X.T @ X, X.T @ e, rcond=1e-12)[0]
+    rough = residual_field(xy, left, noise, X.shape[1])
+    spread_m = 1.4826 * float(np.median(np.abs(left)))
+    return GroundSeen(xy, e, noise, origin, scale, higher, rough, spread_m)
+
+
 def base_readings(
     tin: Tin, base: Plane, inside_m2: F64, height_variance: F64, radius_m: float
 ) -> BaseReadings | None:
     """The readings for an outline, inside_m2 (m,) m² of each triangle; None above a base that is
     given. height_variance : (n,) m² of the vertices · radius_m : of the filter.
     """
-    n, degree = len(base.support), degree_of(base)
-    if n < FEWEST:
+    seen = ground_seen(tin, base, height_variance)
+    return readings_on(seen, tin, base, inside_m2, height_variance, radius_m)
+
+
+def readings_on(
+    seen: GroundSeen | None,
+    tin: Tin,
+    base: Plane,
+    inside_m2: F64,
+    height_variance: F64,
+    radius_m: float,
+) -> BaseReadings | None:
+    """The same on ground that is known; the surface may be a part of that the base was fitted on,
+    as far as a few radii around the outline.
+    """
+    if seen is None:
         return None
-    xy = tin.vertices[base.support, :2]
-    e = tin.vertices[base.support, 2] - base_height(base, xy)
-    noise = height_variance[base.support]
-    origin, scale = xy.mean(axis=0), max(float(np.ptp(xy, axis=0).max()), 1e-9)
-    higher = min(degree + 1, 2)
-    X = design((xy - origin) / scale, np.zeros(2), higher)
-    left = e - X @ np.linalg.lstsq(X.T @ X, X.T @ e, rcond=1e-12)[0]
-    rough = residual_field(xy, left, noise, X.shape[1])
-    found = []
-    moments = area_moments(tin, inside_m2, origin, scale, higher)  # a lower degree's come first
-    if higher > degree:
-        w = fit_weights(xy, moments, origin, scale, higher)
-        chance = field_sigma(xy, w, rough, noise)
-        found.append(Reading(f"a ground of degree {higher}", -float(w @ e), chance))
+    degree, found = degree_of(base), []
+    xy, origin, scale, rough = seen.xy, seen.origin, seen.scale, seen.rough
+    # those of a lower degree come first
+    moments = area_moments(tin, inside_m2, origin, scale, seen.higher)
+    if seen.higher > degree:
+        w = fit_weights(xy, moments, origin, scale, seen.higher)
+        chance = field_sigma(xy, w, rough, seen.noise)
+        words = f"a ground of degree {seen.higher}"
+        found.append(Reading(words, -float(w @ seen.residual), chance))
     own = moments[: COEFFICIENTS[min(degree, 1)]]
     toe = toe_points(tin, inside_m2 > 0.0, radius_m)
-    spread = 1.4826 * float(np.median(np.abs(left)))
-    terrace = terrace_points(tin, base, inside_m2, spread, radius_m)
+    terrace = terrace_points(tin, base, inside_m2, seen.spread_m, radius_m)
     terrace = terrace[:: math.ceil(len(terrace) / MOST) or 1]
     through = Through(base, own, origin, scale, rough)
     for name, rows in ((TOE_LINE, toe), (TERRACE, terrace)):
         found += through.reading(name, tin.vertices[rows], height_variance[rows])
-    return BaseReadings(tuple(found), freedom_of(rough, n))
+    return BaseReadings(tuple(found), freedom_of(rough, len(xy)))
 
 
 class Through(NamedTuple):

@@ -5,15 +5,16 @@ with ground on one side only, or one of several.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ladar_volume.ground.heights import height_above
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
-from ladar_volume.volume.field_checks.cut_bodies import cut_doubts
+from ladar_volume.volume.field_checks.cut_bodies import BodyCut, body_cut, cut_doubts
 from ladar_volume.volume.field_checks.steep_faces import faces_to_base
 from ladar_volume.volume.outline import labelled_bodies
 
@@ -102,11 +103,10 @@ def wall_doubts(tin: Tin, base: Plane, inside: Bool, on_face: Bool, least_m: flo
     return [Doubt("wall", words, 360.0 * share)]
 
 
-def body_doubts(
-    tin: Tin, base: Plane, inside: Bool, sigma_m3: float, parameters: Parameters
-) -> list[Doubt]:
-    """Other bodies stand beside those that count. sigma_m3 : of the volume."""
-    p = parameters.volume
+def bodies_beside(
+    tin: Tin, base: Plane, inside: Bool, p: VolumeParameters
+) -> list[tuple[float, float, float]]:
+    """Volumes, m³, and middles, m, of other bodies that stand beside those that count."""
     if p.outline != "auto" or p.bodies == 0:
         return []
     height = height_above(tin.vertices, base)
@@ -115,13 +115,13 @@ def body_doubts(
     for body in kept:
         rows = np.flatnonzero((label == body) & ~inside)
         own = float(area[rows] @ height[tin.triangles[rows]].mean(axis=1))
-        if len(rows) and own >= max(p.min_body_m3, sigma_m3):
+        if len(rows) and own >= p.min_body_m3:
             found.append((own, *tin.vertices[tin.triangles[rows], :2].mean(axis=(0, 1)).tolist()))
-    return further_doubts(found, p.object_height_m)
+    return found
 
 
 def further_doubts(found: list[tuple[float, float, float]], rise_m: float) -> list[Doubt]:
-    """The same from their volumes, m³, and middles, m."""
+    """Other bodies stand beside those that count: their volumes, m³, and middles, m."""
     if not found:
         return []
     size, x, y = max(found)
@@ -134,20 +134,40 @@ def further_doubts(found: list[tuple[float, float, float]], rise_m: float) -> li
     return [Doubt("further_bodies", words, sum(item[0] for item in found))]
 
 
-def completeness_doubts(
-    tin: Tin, base: Plane, inside_m2: F64, on_face: Bool, sigma_m3: float, parameters: Parameters
-) -> list[Doubt]:
-    """All of them, for the outline of all bodies: inside_m2 (m,) m² of each triangle · on_face :
-    (n,) vertices on steep faces · sigma_m3 : of the volume.
+class Surroundings(NamedTuple):
+    """What lies along the outline of all bodies. cut : where the surface does not come down to the
+    base · walls, ground : doubts whatever the volume · beside : :func:`bodies_beside`
     """
-    inside = inside_m2 > 0.0
-    out = cut_doubts(tin, base, inside, sigma_m3, parameters)
-    if parameters.volume.outline == "auto":
-        least_m = parameters.volume.object_height_m
-        if not stands_on_faces(tin, base, inside, least_m):
-            out += wall_doubts(tin, base, inside, on_face, least_m)
-    return [
-        *out,
-        *body_doubts(tin, base, inside, sigma_m3, parameters),
-        *(ground_doubts(tin, base, inside) if parameters.volume.outline != "all" else []),
-    ]
+
+    cut: BodyCut | None
+    walls: tuple[Doubt, ...]
+    beside: list[tuple[float, float, float]]
+    ground: tuple[Doubt, ...]
+
+    def doubts(self, sigma_m3: float, parameters: Parameters) -> list[Doubt]:
+        """What they let doubt of a volume with this sigma."""
+        more = [body for body in self.beside if not body[0] < sigma_m3]
+        return [
+            *cut_doubts(self.cut, sigma_m3, parameters),
+            *self.walls,
+            *further_doubts(more, parameters.volume.object_height_m),
+            *self.ground,
+        ]
+
+
+def surroundings_of(
+    tin: Tin, base: Plane, inside_m2: F64, on_face: Bool, parameters: Parameters
+) -> Surroundings:
+    """For the outline of all bodies: inside_m2 (m,) m² of each triangle · on_face : (n,) vertices
+    on steep faces.
+    """
+    inside, p, walls = inside_m2 > 0.0, parameters.volume, list[Doubt]()
+    if p.outline == "auto" and not stands_on_faces(tin, base, inside, p.object_height_m):
+        walls = wall_doubts(tin, base, inside, on_face, p.object_height_m)
+    ground = ground_doubts(tin, base, inside) if p.outline != "all" else []
+    return Surroundings(
+        body_cut(tin, base, inside, p),
+        tuple(walls),
+        bodies_beside(tin, base, inside, p),
+        tuple(ground),
+    )

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.ground.heights import height_above
 from ladar_volume.ground.polynomial import base_height
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import boundary_sides, side_ends
@@ -171,14 +171,17 @@ def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Body
     return BodyCut(hidden, total, float(weight.sum()) / total, x, y)
 
 
-def cut_doubts(
-    tin: Tin, base: Plane, inside: Bool, sigma_m3: float, parameters: Parameters
-) -> list[Doubt]:
-    """The surface does not come down to the base at the outline. sigma_m3 : of the volume."""
-    p = parameters.volume
+def body_cut(tin: Tin, base: Plane, inside: Bool, p: VolumeParameters) -> BodyCut | None:
+    """Where the outline, the boundary of the triangles ``inside`` (m,), cuts bodies that do not end
+    there by themselves; None where it does not, or says itself what is meant.
+    """
     if p.outline == "all" or (p.outline == "polygon" and p.base != "ground"):
-        return []
-    found = cut_at_boundary(tin, base, inside, 0.5 * p.object_height_m)
+        return None
+    return cut_at_boundary(tin, base, inside, 0.5 * p.object_height_m)
+
+
+def cut_doubts(found: BodyCut | None, sigma_m3: float, parameters: Parameters) -> list[Doubt]:
+    """The surface does not come down to the base at the outline. sigma_m3 : of the volume."""
     if found is None or found.hidden_m3 < HIDDEN * sigma_m3:
         return []
     what, todo = cause_of(found, parameters)

@@ -7,6 +7,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ from ladar_volume.model.parameters import Parameters, SurfaceFilterParameters
 from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.uncertainty.ground_field import Roughness
 from ladar_volume.uncertainty.pass_agreement import (
     MOST,
     OF_SLOPES,
@@ -33,23 +36,27 @@ from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
 from ladar_volume.volume.cutfill import with_net
 from ladar_volume.volume.field_checks.base_readings import (
+    GroundSeen,
     base_reading_doubts,
-    base_readings,
     below_base,
     doubted_m6,
     given_base_doubts,
+    ground_seen,
+    readings_on,
     student_factor,
     unsettled,
 )
-from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
+from ladar_volume.volume.field_checks.completeness import Surroundings, steep, surroundings_of
 from ladar_volume.volume.field_checks.cut_bodies import cut_m6
 from ladar_volume.volume.field_checks.findings import Ask
+from ladar_volume.volume.field_checks.gap_kriging import ObservedPoints
 from ladar_volume.volume.field_checks.gaps import (
     bridged_volume,
     bridging_triangles,
     find_gaps,
     gap_doubts,
     hidden_m6,
+    seen_above,
 )
 from ladar_volume.volume.field_checks.notches import notch_doubts
 from ladar_volume.volume.field_checks.null_volumes import null_volume_doubts, null_volumes
@@ -74,8 +81,8 @@ from ladar_volume.volume.field_checks.surface_changes import (
     surface_change,
 )
 from ladar_volume.volume.measured_body import (
+    BodySurface,
     Footing,
-    MeasuredBody,
     SurveyedSurface,
     footing_of,
 )
@@ -91,6 +98,51 @@ CHANGED = 0.5
 SCATTERS = 3.0
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
 ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class SurveyInField:
+    """What all bodies of a survey share: its surface, what they stand on, its passes, and what
+    checks found once for all.
+    """
+
+    survey: SurveyedSurface
+    footing: Footing
+    passes: PassAgreement
+    parameters: Parameters
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """What lies along the outline of all bodies."""
+        tin, base, inside = self.survey.tin, self.footing.base, self.footing.inside
+        return surroundings_of(tin, base, inside, self.on_face, self.parameters)
+
+    @cached_property
+    def ground(self) -> GroundSeen | None:
+        """What other readings of the base are held against."""
+        return ground_seen(self.survey.tin, self.footing.base, self.survey.height_variance)
+
+    @cached_property
+    def on_face(self) -> Bool:
+        """Vertices (n,) on steep faces."""
+        return steep(self.survey.normal)
+
+    @cached_property
+    def seen(self) -> ObservedPoints:
+        """What was seen, above the base."""
+        survey, tin = self.survey, self.survey.tin
+        view = patch_views(survey.patches)[survey.sources.geometry.row[tin.source]]
+        return seen_above(tin, self.footing.base, survey.height_variance, view)
+
+
+class BodyInField(NamedTuple):
+    """on : its surface · rough : the field of the ground about its
+    base, None above a base that is given · objects : that were taken out of its surface
+    """
+
+    on: BodySurface
+    rough: Roughness | None
+    objects: tuple[StandingObject, ...] = ()
 
 
 def bridged_footing(
@@ -127,9 +179,10 @@ def with_line(volume: Volume, name: str, variance_m6: float) -> Volume:
     )
 
 
-def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume) -> Volume:
-    """The volume of a body with what was not seen of it: part (m,) m² of each triangle."""
-    tin, base = survey.tin, footing.base
+def with_gaps(field: SurveyInField, on: BodySurface, volume: Volume) -> Volume:
+    """The volume of a body with what was not seen of it."""
+    survey, part, base = on.survey, on.part, field.footing.base
+    tin = survey.tin
     gaps = find_gaps(tin, part)
     volume = with_line(volume, "unseen", hidden_m6(tin, base, part, gaps, survey.hidden))
     if not len(gaps.areas):
@@ -137,8 +190,7 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     over = np.where(gaps.triangle >= 0, part, 0.0)
     # slopes at the rim of a gap tell of its surface by kriging, not as chords
     above, below = cut_and_fill_chords(tin, survey.normal, base, over)
-    view = patch_views(survey.patches)[survey.sources.geometry.row[tin.source]]
-    found = bridged_volume(tin, base, part, survey.height_variance, gaps, view)
+    found = bridged_volume(tin, base, part, gaps, lambda: field.seen)
     cut, fill = with_net(volume.cut_m3 + above, volume.fill_m3 - below, found.more_m3)
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.volume_m3, volume.sigma_m3)
     volume = dataclasses.replace(
@@ -155,39 +207,39 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
 
 
 def with_null_volumes(
-    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, volume: Volume, ask: Ask
+    survey: SurveyedSurface, footing: Footing, body: BodyInField, volume: Volume, ask: Ask
 ) -> Volume:
     """The volume of a body with the line of its base as wide as null volumes around it spread."""
     own = volume.budget_m6.get("base_surface", 0.0)
     rough = body.rough
     if rough is None or not own > 0.0:
         return volume
-    tin, base, part, noise = survey.tin, footing.base, body.part, survey.height_variance
+    tin, base, part, noise = survey.tin, footing.base, body.on.whole, survey.height_variance
     found = ask("null volumes", lambda: null_volumes(tin, base, part, noise, rough))
     doubts = Verdict(tuple(null_volume_doubts(found, volume.area_m2, math.sqrt(own))))
     volume = dataclasses.replace(volume, verdict=volume.verdict + doubts)
     return with_line(volume, "base_surface", (found.scale - 1.0) * own)
 
 
-def with_base(
-    survey: SurveyedSurface,
-    footing: Footing,
-    body: MeasuredBody,
-    volume: Volume,
-    parameters: Parameters,
-    ask: Ask,
-) -> Volume:
+def with_base(field: SurveyInField, body: BodyInField, volume: Volume, ask: Ask) -> Volume:
     """The volume of a body with what null volumes and other readings of its base say."""
-    tin, base, part, radius_m = survey.tin, footing.base, body.part, parameters.filter.radius_m
-    volume = with_null_volumes(survey, footing, body, volume, ask)
+    survey, base, parameters = field.survey, field.footing.base, field.parameters
+    around, part, radius_m = body.on.survey, body.on.part, parameters.filter.radius_m
+    volume = with_null_volumes(survey, field.footing, body, volume, ask)
     if not len(base.support):
         free, before = parameters.volume.outline == "auto", volume
-        told = ask("given base", lambda: given_base_doubts(tin, base, part, radius_m, before, free))
+        told = ask(
+            "given base",
+            lambda: given_base_doubts(around.tin, base, part, radius_m, before, free),
+        )
         volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(told)))
         apart = sum((d.value or 0.0) * volume.area_m2 for d in told)
         return with_line(volume, "base_model", apart**2)
-    noise = survey.height_variance
-    found = ask("base readings", lambda: base_readings(tin, base, part, noise, radius_m))
+    noise = around.height_variance
+    found = ask(
+        "base readings",
+        lambda: readings_on(field.ground, around.tin, base, part, noise, radius_m),
+    )
     if found is None:
         return volume
     told = base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base)
@@ -494,51 +546,36 @@ def with_objects(volume: Volume, objects: tuple[StandingObject, ...]) -> Volume:
     return dataclasses.replace(volume, objects=objects, verdict=volume.verdict + doubts)
 
 
-def edges_of(
-    survey: SurveyedSurface,
-    footing: Footing,
-    on_face: Bool,
-    volume_m3: float,
-    sigma_m3: float,
-    parameters: Parameters,
-) -> list[Doubt]:
-    """Where a body ends, or goes on unseen. on_face : (n,) vertices on steep faces."""
-    tin, base = survey.tin, footing.base
-    doubts = completeness_doubts(tin, base, footing.inside, on_face, sigma_m3, parameters)
-    if parameters.volume.outline == "all":
-        doubts += notch_doubts(tin, base, volume_m3, sigma_m3)
+def edges_of(field: SurveyInField, volume_m3: float, sigma_m3: float) -> list[Doubt]:
+    """Where a body ends, or goes on unseen."""
+    doubts = field.surroundings.doubts(sigma_m3, field.parameters)
+    if field.parameters.volume.outline == "all":
+        doubts += notch_doubts(field.survey.tin, field.footing.base, volume_m3, sigma_m3)
     return doubts
 
 
-def assess_field(
-    survey: SurveyedSurface,
-    footing: Footing,
-    body: MeasuredBody,
-    volume: Volume,
-    passes: PassAgreement,
-    parameters: Parameters,
-    ask: Ask,
-    objects: tuple[StandingObject, ...] = (),
-) -> Volume:
+def assess_field(field: SurveyInField, body: BodyInField, volume: Volume, ask: Ask) -> Volume:
     """A body's volume with every line and doubt of the field. ask : makes the slow checks, or
-    gives what they found before · objects : that were taken out of the surface.
+    gives what they found before.
     """
-    part, on_face = body.part, steep(survey.normal)
+    footing, passes, parameters = field.footing, field.passes, field.parameters
+    _, survey, part, vertex = body.on
+    on_face = field.on_face if vertex is None else field.on_face[vertex]
     volume = with_surface(survey, volume)
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
     volume = with_cover(survey, footing, part, volume, passes, on_face, parameters)
     volume = with_change(volume, *ask("change", lambda: change_of(survey, part, passes.change)))
-    volume = with_gaps(survey, footing, part, volume)
-    volume = with_base(survey, footing, body, volume, parameters, ask)
+    volume = with_gaps(field, body.on, volume)
+    volume = with_base(field, body, volume, ask)
     tin = survey.tin
-    volume = with_objects(volume, objects)
+    volume = with_objects(volume, body.objects)
     # a cut or a further body may be what makes the readings of the base differ
     chosen_m6 = volume.budget_m6.get("base_model", 0.0)
     sigma = math.sqrt(max(volume.sigma_m3**2 - chosen_m6, 0.0))
     net_m3 = volume.volume_m3
     doubts = ask(
         "completeness",
-        lambda: edges_of(survey, footing, on_face, net_m3, sigma, parameters),
+        lambda: edges_of(field, net_m3, sigma),
     )
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
     if any(doubt.name == "cut" for doubt in doubts):

@@ -5,7 +5,7 @@ ground and the edges of its bodies need not be checked after every update.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
@@ -30,11 +30,11 @@ class Findings:
     asked for. parts : for each body the area (m,) m² of each triangle of the TIN that is its
     """
 
-    def __init__(self, tin: Tin, parts: Sequence[F64]) -> None:
+    def __init__(self, tin: Tin, parts: Iterable[F64]) -> None:
         self._bodies = [area_and_centre(tin, part) for part in parts]
         self._found: dict[tuple[int, str], Any] = {}
 
-    def suit(self, tin: Tin, parts: Sequence[F64]) -> bool:
+    def suit(self, tin: Tin, parts: Iterable[F64]) -> bool:
         """Whether these are the same bodies: as many, and each about as large and where it was."""
         now = [area_and_centre(tin, part) for part in parts]
         return len(now) == len(self._bodies) and all(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -294,19 +295,27 @@ def views_above(base: Plane, xy: F64, view: F64) -> F64:
     return out
 
 
-def bridged_volume(
-    tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps, view: F64 | None = None
-) -> BridgedVolume:
-    """What the gaps do to the volume above the base. variance : (n,) m² of the vertex heights ·
-    view : (n, 3) mean unit vectors to where the vertices were seen from, if that is known.
+def seen_above(tin: Tin, base: Plane, variance: F64, view: F64 | None = None) -> ObservedPoints:
+    """What was seen of the surface, above the base, its spacing not told. variance : (n,) m² of the
+    vertex heights · view : (n, 3) mean unit vectors to where the vertices were seen from, if that
+    is known.
     """
-    if not len(gaps.areas):
-        return BridgedVolume(0.0, 0.0, (), 0.0)
     used = vertex_mask(tin, tin.relevant)
     r = tin.vertices[used].copy()
     r[:, 2] -= base_height(base, r[:, :2])
     looked = None if view is None else views_above(base, r[:, :2], view[used])
-    seen = ObservedPoints.of(r, variance[used], gaps.usual_m, looked)
+    return ObservedPoints.of(r, variance[used], math.nan, looked)
+
+
+def bridged_volume(
+    tin: Tin, base: Plane, inside_m2: F64, gaps: Gaps, seen_points: Callable[[], ObservedPoints]
+) -> BridgedVolume:
+    """What the gaps do to the volume above the base. seen_points : gives what :func:`seen_above`
+    does, asked where there are gaps
+    """
+    if not len(gaps.areas):
+        return BridgedVolume(0.0, 0.0, (), 0.0)
+    seen = dataclasses.replace(seen_points(), spacing_m=gaps.usual_m)
     made = []
     for number in range(min(MOST, len(gaps.areas))):
         rows = np.flatnonzero(gaps.triangle == number)
