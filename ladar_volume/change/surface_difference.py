@@ -20,7 +20,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.insertion_order import hilbert_order
-from ladar_volume.tin.locate import barycentric, locate, triangle_index
+from ladar_volume.tin.locate import TriangleIndex, barycentric, locate, triangle_index
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.near_base import Csr, csr
 from ladar_volume.volume.neighbourhood import CHUNKS
@@ -169,14 +169,13 @@ def mean_variance(tin: Tin, C: csr_array) -> float:
     return float(total / area)
 
 
-def interpolation(tin: Tin, xy: F64) -> tuple[I32, F64, Bool]:
+def interpolation(tin: Tin, xy: F64, index: TriangleIndex | None = None) -> tuple[I32, F64, Bool]:
     """Corners and shares (n, 3) that make a surface's heights at points xy (n, 2), zero where it is
-    not, and where it is (n,).
+    not, and where it is (n,). index : of its relevant triangles, where known
     """
     order, where = hilbert_order(xy), np.empty(len(xy), np.int64)
-    where[order] = locate(
-        triangle_index(tin, tin.relevant), xy[order]
-    )  # neighbours in turn are found faster
+    known = triangle_index(tin, tin.relevant) if index is None else index
+    where[order] = locate(known, xy[order])  # neighbours in turn are found faster
     there = where >= 0
     corner, weight = np.zeros((len(xy), 3), np.int32), np.zeros((len(xy), 3))
     corner[there], weight[there] = (

@@ -496,8 +496,7 @@ def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
     if task.arguments.piles is not None:
         asked = SiteTask(parameters, task.base, correct=correct)
         site = pile_volumes(task.arguments, asked, task.outlines, surfaces, task.progress)
-        inside = np.sum([pile.inside_m2 for pile in site.piles], axis=0)
-        return CutFill(site.total, parameters, None, [inside > 0], [], site)
+        return CutFill(site.total, parameters, None, [site.inside_m2 > 0], [], site)
     relevant = [s.representation.tin.relevant for s in surfaces]
     if task.base == "cloud":
         volume = between_clouds(first, surfaces[1], "the second", correct)

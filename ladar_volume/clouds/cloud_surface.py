@@ -62,7 +62,7 @@ class CloudSurface:
     standing: I64 = field(default_factory=lambda: np.zeros(0, np.int64))
     objects: tuple[StandingObject, ...] = ()
 
-    @property
+    @cached_property
     def vertex_variance(self) -> F64:
         """Variances (n,) m² of the points at the vertices; adjusted heights have no more. 0 where
         the noise is not known.

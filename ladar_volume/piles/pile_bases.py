@@ -28,8 +28,8 @@ from ladar_volume.uncertainty.ground_field import GroundField, Roughness
 from ladar_volume.volume.near_base import near_base
 from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.overlay import volumes_between
-from ladar_volume.volume.polygon import check_polygon, clipped_prismoids, weights_inside
-from ladar_volume.volume.volume_loads import ground_field, whole_triangles
+from ladar_volume.volume.polygon import check_polygon, clipped_prismoids, weights_of_rows
+from ladar_volume.volume.volume_loads import at_once, ground_field, whole_triangles
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,14 @@ def pile_part(surface: CloudSurface, pile: Pile) -> PilePart:
     where there is none.
     """
     tin = surface.representation.tin
-    weights = weights_inside(tin, check_polygon(pile.ring))
-    inside = np.maximum(weights.sum(axis=1), 0.0)
+    rows, weights = weights_of_rows(tin, check_polygon(pile.ring))
+    inside = np.zeros(len(tin.triangles))
+    inside[rows] = np.maximum(weights.sum(axis=1), 0.0)
     if not inside.any():
         raise VolumeError(
             "no part of the surface lies inside the outline", reason="volume_no_triangle"
         )
-    by_height = np.bincount(tin.triangles.ravel(), weights.ravel(), len(tin.vertices))
+    by_height = np.bincount(tin.triangles[rows].ravel(), weights.ravel(), len(tin.vertices))
     return PilePart(surface, pile, inside, by_height.astype(np.float64))
 
 
@@ -88,8 +89,10 @@ def roughness_around(part: PilePart, ground: Plane) -> Roughness | None:
     return None if field is None else field.rough
 
 
-def above_plane(part: PilePart, plane: Plane) -> Net:
-    """Net volume above a polynomial, which may be fitted to vertices of the same surface."""
+def above_plane(part: PilePart, plane: Plane, rough: Roughness | None = None) -> Net:
+    """Net volume above a polynomial, which may be fitted to vertices of the same surface. rough :
+    how these deviate from it, where it is known
+    """
     tin, g = part.tin, part.by_height
     used = np.flatnonzero(g)
     v = tin.vertices[used]
@@ -99,8 +102,9 @@ def above_plane(part: PilePart, plane: Plane) -> Net:
     by_beta = -(design(v[:, :2], plane.origin_xy, degree_of(plane)).T @ g[used])
     out = g.copy()
     out[plane.support] += ground_gradient(tin.vertices, plane, by_beta[:, None])[:, 0, 2]
-    rough = ground_field(tin, plane, by_beta, part.inside_m2, part.surface.vertex_variance)
-    return Net(net, out, None, {} if rough is None else {"base_surface": rough.variance_m6})
+    variance, keep = part.surface.vertex_variance, at_once if rough is None else lambda tell: rough
+    field = ground_field(tin, plane, by_beta, part.inside_m2, variance, keep=keep)
+    return Net(net, out, None, {} if field is None else {"base_surface": field.variance_m6})
 
 
 def above_toe(part: PilePart, base: ToeBase, rough: Roughness | None) -> Net:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -20,11 +21,13 @@ from ladar_volume.piles.pile_bases import (
     pile_part,
 )
 from ladar_volume.piles.toe_bases import ToeBase, toe_base
-from ladar_volume.piles.toe_line import spacing_of, toe_line
+from ladar_volume.piles.toe_line import PlacedSurface, toe_line
 from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.uncertainty.ground_field import Roughness
 from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.outline import surroundings
 from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
+from ladar_volume.volume.volume_loads import ground_field
 
 #: Least area of an outline, in squares of the usual edge.
 SMALLEST = 4.0
@@ -51,15 +54,26 @@ class SiteTask:
 @dataclass(frozen=True)
 class Site:
     """surface · covariance : (n, n) m² of its heights, None where they are not known · within :
-    (m,) triangles in any outline · ground : of the whole site, or why there is none · pair : what
-    the surface and a second one say of one another, where that is the base
+    (m,) triangles in any outline · ground : of the whole site, or why there is none · placed : the
+    surface · pair : what the surface and a second one say of one another, where that is the base
     """
 
     surface: CloudSurface
     covariance: SparseF64 | None
     within: Bool
     ground: Plane | GroundError = field(repr=False)
+    placed: PlacedSurface = field(repr=False)
     pair: PairGround | None = None
+
+    @cached_property
+    def roughness(self) -> Roughness | None:
+        """How the ground deviates from that of the whole site, which is the same for all piles."""
+        if not isinstance(self.ground, Plane):
+            return None
+        tin, variance = self.surface.representation.tin, self.surface.vertex_variance
+        nothing = np.zeros(len(self.ground.beta)), np.zeros(len(tin.triangles))
+        field = ground_field(tin, self.ground, *nothing, variance)
+        return None if field is None else field.rough
 
 
 #: A base of a pile, or why there is none.
@@ -84,7 +98,7 @@ def site_of(surface: CloudSurface, piles: Sequence[Pile], parameters: Parameters
         )
     except GroundError as error:
         ground = error
-    return Site(surface, covariance, within, ground)
+    return Site(surface, covariance, within, ground, PlacedSurface.of(tin))
 
 
 def checked_part(site: Site, pile: Pile) -> PilePart:
@@ -92,7 +106,7 @@ def checked_part(site: Site, pile: Pile) -> PilePart:
     :class:`VolumeError` (pile_small).
     """
     part = pile_part(site.surface, pile)
-    least = SMALLEST * spacing_of(part.tin) ** 2
+    least = SMALLEST * site.placed.spacing_m**2
     area = abs(signed_area(pile.ring))
     if area < least:
         raise VolumeError(
@@ -128,12 +142,12 @@ def made_bases(site: Site, part: PilePart, parameters: Parameters) -> dict[str, 
     out["site_ground"] = site.ground
     variance = site.surface.vertex_variance
     try:
-        line = toe_line(part.tin, part.pile.ring)
+        line = toe_line(site.placed, part.pile.ring)
     except VolumeError as error:
         return out | dict.fromkeys(TOE_BASES, error)
     for name in TOE_BASES:
         try:
-            out[name] = toe_base(name, part.tin, part.pile.ring, line, variance)
+            out[name] = toe_base(name, site.placed, part.pile.ring, line, variance)
         except LadarVolumeError as error:
             out[name] = error
     return out

@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ladar_volume.clouds.volume_verdict import (
 from ladar_volume.ground.heights import height_above
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.piles import ALIKE, PILE_BASES, Pile
-from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.records import F64, I64, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.piles.pile_bases import (
     Net,
@@ -62,9 +63,29 @@ class VolumeAboveBase:
     why: str = ""
 
 
+class RowsHeld(NamedTuple):
+    """The rows (k,) of an array that are not zero, and what they hold: a site has many piles, and
+    each is small.
+    """
+
+    rows: I64
+    values: F64
+
+    @classmethod
+    def of(cls, whole: F64) -> RowsHeld:
+        """Those of an array (n,) or (n, c)."""
+        rows = np.flatnonzero(whole.reshape(len(whole), -1).any(axis=1))
+        return cls(rows, whole[rows])
+
+    def add_to(self, whole: F64) -> None:
+        """Adds them to an array."""
+        whole[self.rows] += self.values
+
+
 @dataclass(frozen=True)
 class PileVolume:
-    """pile · volume : above the base that was asked for · solid : before its noise · verdict ·
+    """pile · volume : above the base that was asked for · curved_m6 : second-order variance of cut
+    and fill · gradients : (n, 2) by the heights, of net and cut, for every surface · verdict ·
     inside_m2 : (m,) of each triangle · height_m : of its highest point above the base · top_m : of
     that point · bases : above every base · plane : the base as a polynomial, None for triangles ·
     reference : a plane near the base, for pictures
@@ -72,9 +93,10 @@ class PileVolume:
 
     pile: Pile
     volume: CloudVolume
-    solid: Solid
+    curved_m6: float
+    gradients: tuple[tuple[CloudSurface, RowsHeld], ...]
     verdict: Verdict
-    inside_m2: F64
+    inside_m2: RowsHeld
     height_m: float
     top_m: float
     bases: Mapping[str, VolumeAboveBase]
@@ -93,13 +115,15 @@ class RefusedPile:
 @dataclass(frozen=True)
 class SitePiles:
     """piles : with a volume, in the order given · refused_piles : without · total : of all piles,
-    what they share counted as shared · verdict : of the outlines together
+    what they share counted as shared · verdict : of the outlines together · inside_m2 : (m,) of
+    each triangle in all outlines
     """
 
     piles: list[PileVolume]
     refused_piles: list[RefusedPile]
     total: CloudVolume
     verdict: Verdict
+    inside_m2: F64
 
 
 def piles_of(
@@ -120,8 +144,11 @@ def piles_of(
     if not found:
         raise refused[0].error
     total = found[0].volume if len(found) == 1 else total_volume(found, task)
-    doubts = [*refused_doubts(refused), *twice_doubts(surface, found)]
-    return SitePiles(found, refused, total, Verdict(tuple(doubts)))
+    inside = np.zeros(len(surface.representation.tin.triangles))
+    for one in found:
+        one.inside_m2.add_to(inside)
+    doubts = [*refused_doubts(refused), *twice_doubts(surface, found, inside)]
+    return SitePiles(found, refused, total, Verdict(tuple(doubts)), inside)
 
 
 def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
@@ -134,7 +161,11 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     asked = requested_base(site, part, task, parameters, made, rough)
     reference = asked.plane if asked.plane is not None else reference_of(part, made)
     volume, verdict = pile_with_verdict(site, part, task, parameters, asked, reference, ground)
-    nets = {n: net_above(part, base, rough) for n, base in made.items() if n != task.base}
+    nets = {
+        n: net_above(part, base, site.roughness if n == "site_ground" else rough)
+        for n, base in made.items()
+        if n != task.base
+    }
     told = (0.0, 0.0)
     if isinstance(ground, Plane):
         known = known_cover(parameters.volume, own_ground=True)
@@ -145,9 +176,18 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
         volume = with_choice(volume, bases)
     verdict = verdict + Verdict(tuple(outline_doubts(part)))
     high, top = summit(part, reference)
-    inside = part.inside_m2
     return PileVolume(
-        pile, volume, asked.solid, verdict, inside, high, top, bases, asked.plane, reference
+        pile,
+        volume,
+        asked.solid.curved_m6,
+        tuple((surface, RowsHeld.of(g)) for surface, g in asked.solid.gradients),
+        verdict,
+        RowsHeld.of(part.inside_m2),
+        high,
+        top,
+        bases,
+        asked.plane,
+        reference,
     )
 
 
@@ -155,7 +195,11 @@ def net_above(part: PilePart, base: Made, rough: Roughness | None = None) -> Net
     """The net volume above a base, or why there is none."""
     if isinstance(base, LadarVolumeError):
         return base
-    return above_toe(part, base, rough) if isinstance(base, ToeBase) else above_plane(part, base)
+    return (
+        above_toe(part, base, rough)
+        if isinstance(base, ToeBase)
+        else above_plane(part, base, rough)
+    )
 
 
 def volumes_above_bases(
@@ -213,13 +257,14 @@ def refused_doubts(refused: Sequence[RefusedPile]) -> list[Doubt]:
     ]
 
 
-def twice_doubts(surface: CloudSurface, piles: Sequence[PileVolume]) -> list[Doubt]:
-    """Outlines lie over one another, so that the sum counts a part twice."""
+def twice_doubts(surface: CloudSurface, piles: Sequence[PileVolume], inside_m2: F64) -> list[Doubt]:
+    """Outlines lie over one another, so that the sum counts a part twice. inside_m2 : (m,) of each
+    triangle in all of them
+    """
     tin = surface.representation.tin
     own = footprint_areas(tin.vertices, tin.triangles)
-    total = np.sum([pile.inside_m2 for pile in piles], axis=0)
-    twice = float(np.maximum(total - own, 0.0)[tin.relevant].sum())
-    if twice <= TWICE * min(float(p.inside_m2.sum()) for p in piles):
+    twice = float(np.maximum(inside_m2 - own, 0.0)[tin.relevant].sum())
+    if twice <= TWICE * min(float(p.inside_m2.values.sum()) for p in piles):
         return []
     words = (
         f"outlines overlap: {twice:.4g} m² or more count in several piles, and more than once in "
@@ -232,19 +277,19 @@ def total_volume(piles: Sequence[PileVolume], task: SiteTask) -> CloudVolume:
     """The sum over piles: noise and what heights share through the sum of their gradients; other
     lines as independent, but those of one ground or one choice, which are wrong alike.
     """
-    surfaces = [surface for surface, _ in piles[0].solid.gradients]
-    gradients = tuple(
-        (surface, np.sum([p.solid.gradients[k][1] for p in piles], axis=0))
-        for k, surface in enumerate(surfaces)
-    )
-    parts = [p.solid for p in piles]
+    gradients = []
+    for k, (surface, _) in enumerate(piles[0].gradients):
+        gradient = np.zeros((len(surface.representation.tin.vertices), 2))
+        for pile in piles:
+            pile.gradients[k][1].add_to(gradient)
+        gradients.append((surface, gradient))
     solid = Solid(
         sum(p.volume.cut_raw_m3 for p in piles),
         sum(p.volume.fill_raw_m3 for p in piles),
-        sum(s.area_m2 for s in parts),
-        gradients,
+        sum(p.volume.area_m2 for p in piles),
+        tuple(gradients),
         None,
-        sum(s.curved_m6 for s in parts),
+        sum(p.curved_m6 for p in piles),
     )
     total = corrected_volume(solid, task.words, piles[0].volume.base_same_survey)
     lines = summed_lines(piles, total, task)

@@ -20,7 +20,7 @@ from ladar_volume.ground.polynomial import (
 )
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Plane, Tin
-from ladar_volume.piles.toe_line import ToeLine, toe_line
+from ladar_volume.piles.toe_line import PlacedSurface, ToeLine, toe_line
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.volume.polygon import areas_inside
 
@@ -49,13 +49,15 @@ class ToeBase:
     level_variance_m2: float = 0.0
 
 
-def toe_base(name: str, tin: Tin, ring: F64, line: ToeLine, variance_m2: F64) -> ToeBase:
+def toe_base(
+    name: str, surface: PlacedSurface, ring: F64, line: ToeLine, variance_m2: F64
+) -> ToeBase:
     """The base called ``name`` (one of :data:`ladar_volume.model.piles.TOE_BASES`) of a pile within
     a ring (k, 2); variance_m2 : (n,) of the heights of the vertices, 0 where they are not known.
     Raises :class:`VolumeError` or GroundError where the toe line does not make it.
     """
     if name == "toe_tin":
-        return triangulate_toe(tin, ring, line)
+        return triangulate_toe(surface, ring, line)
     if name in DEGREES:
         return polynomial(line, ring, DEGREES[name])
     if name == "toe_mean":
@@ -73,7 +75,7 @@ def polynomial(line: ToeLine, ring: F64, degree: int) -> ToeBase:
     return ToeBase(plane, None, line, N @ (X * line.length_m[:, None]).T)
 
 
-def triangulate_toe(tin: Tin, ring: F64, line: ToeLine) -> ToeBase:
+def triangulate_toe(surface: PlacedSurface, ring: F64, line: ToeLine) -> ToeBase:
     """The triangulation of the toe line within its outline. Raises :class:`VolumeError` (pile_toe)
     where none fills it.
     """
@@ -93,7 +95,7 @@ def triangulate_toe(tin: Tin, ring: F64, line: ToeLine) -> ToeBase:
             M[np.arange(len(made.vertices)), made.source] = 1.0
             return ToeBase(None, base, line, M)
         step *= 0.5
-        line = toe_line(tin, ring, step)
+        line = toe_line(surface, ring, step)
     raise VolumeError(
         "the toe line cannot be triangulated within its outline, whose sides come too near to one "
         "another: draw it with fewer corners",

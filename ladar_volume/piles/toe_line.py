@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from ladar_volume.change.surface_difference import interpolation
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Bool, Tin
-from ladar_volume.tin.locate import height_at
+from ladar_volume.tin.locate import TriangleIndex, height_at, triangle_index
 from ladar_volume.tin.relevant import edge_lengths
 
 #: Most places along an outline.
@@ -39,9 +39,21 @@ class ToeLine:
     outward_m: F64
 
 
-def spacing_of(tin: Tin) -> float:
-    """Usual length, m, of the edges of the triangles that count."""
-    return float(np.median(edge_lengths(tin)[tin.relevant]))
+@dataclass(frozen=True)
+class PlacedSurface:
+    """A surface whose heights are asked at many places. spacing_m : usual length of the edges of
+    the triangles that count · index : of these
+    """
+
+    tin: Tin
+    spacing_m: float
+    index: TriangleIndex
+
+    @classmethod
+    def of(cls, tin: Tin) -> PlacedSurface:
+        """What is asked for again and again, told once."""
+        spacing_m = float(np.median(edge_lengths(tin)[tin.relevant]))
+        return cls(tin, spacing_m, triangle_index(tin, tin.relevant))
 
 
 def places_along(ring: F64, step_m: float) -> tuple[F64, F64]:
@@ -62,14 +74,14 @@ def perimeter(ring: F64) -> float:
     return float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
 
 
-def toe_line(tin: Tin, ring: F64, step_m: float = 0.0) -> ToeLine:
+def toe_line(surface: PlacedSurface, ring: F64, step_m: float = 0.0) -> ToeLine:
     """The toe line along a ring (k, 2), m; step_m : most between its places, by default the usual
     edge of the surface, no shorter than makes :data:`MOST` of them. Raises :class:`VolumeError`
     (pile_toe) where most of the outline lies beyond the surface.
     """
-    step = step_m or max(spacing_of(tin), perimeter(ring) / MOST)
+    tin, step = surface.tin, step_m or max(surface.spacing_m, perimeter(ring) / MOST)
     xy, at = places_along(ring, step)
-    corner, weight, seen = interpolation(tin, xy)
+    corner, weight, seen = interpolation(tin, xy, surface.index)
     if np.count_nonzero(seen) < max(3.0, LEAST_SEEN * len(seen)):
         share = 100.0 * np.count_nonzero(seen) / len(seen)
         raise VolumeError(
@@ -85,11 +97,11 @@ def toe_line(tin: Tin, ring: F64, step_m: float = 0.0) -> ToeLine:
     step_to = np.diff(np.r_[at, perimeter(ring)])
     length = np.where(seen, 0.5 * (step_to + np.roll(step_to, 1)), 0.0)
     height = np.asarray(B @ tin.vertices[:, 2])
-    higher = np.where(seen, rise_inward(tin, xy, height, length), 0.0)
+    higher = np.where(seen, rise_inward(surface, xy, height, length), 0.0)
     return ToeLine(xy, at, length, height, B, seen, higher)
 
 
-def rise_inward(tin: Tin, xy: F64, height_m: F64, length_m: F64) -> F64:
+def rise_inward(surface: PlacedSurface, xy: F64, height_m: F64, length_m: F64) -> F64:
     """By how much (t,) m a surface is higher at places (t, 2) along a closed line,
     counter-clockwise, than one usual edge outside, beyond the plane through the line; 0 where there
     is no surface outside.
@@ -97,11 +109,11 @@ def rise_inward(tin: Tin, xy: F64, height_m: F64, length_m: F64) -> F64:
     ahead = np.roll(xy, -1, axis=0) - np.roll(xy, 1, axis=0)
     size = np.hypot(*ahead.T)
     normal = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.where(size > 0.0, size, 1.0)[:, None]
-    out = xy + spacing_of(tin) * normal
+    out = xy + surface.spacing_m * normal
     w = np.sqrt(length_m)
     X = np.column_stack([np.ones(len(xy)), xy - xy.mean(axis=0)])
     slope = np.linalg.lstsq(X * w[:, None], w * height_m, rcond=None)[0][1:]
-    rise: F64 = height_m - height_at(tin, out) + (out - xy) @ slope
+    rise: F64 = height_m - height_at(surface.tin, out, surface.index) + (out - xy) @ slope
     return np.where(np.isfinite(rise), rise, 0.0)
 
 

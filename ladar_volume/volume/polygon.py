@@ -18,7 +18,7 @@ from ladar_volume.ground.polynomial import (
 )
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.volume.prismoids import Prismoids, gather
 
 #: Where a triangle lies to a polygon.
@@ -328,16 +328,33 @@ def clipped_prismoids(tin: Tin, base: Plane, polygon: F64, mask: Bool | None = N
     return Prismoids(cut, fill, area, g_cut, g_fill, b_cut, b_fill)
 
 
-def weights_inside(tin: Tin, polygon: F64) -> F64:
-    """Integrals (m, 3) m² of the barycentric coordinates of each relevant triangle over what lies
-    within a counter-clockwise polygon (k, 2); 0 for the others.
+@kernel
+def rows_that_meet(vertices: F64, triangles: I32, mask: Bool, polygon: F64) -> I64:
+    """Rows (k,) of the triangles (m,) in ``mask`` whose box meets that of a polygon (n, 2)."""
+    rows, count = np.empty(len(triangles), np.int64), 0
+    west, east = polygon[:, 0].min(), polygon[:, 0].max()
+    south, north = polygon[:, 1].min(), polygon[:, 1].max()
+    for t in range(len(triangles)):
+        if not mask[t]:
+            continue
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        if max(a[0], b[0], c[0]) < west or min(a[0], b[0], c[0]) > east:
+            continue
+        if max(a[1], b[1], c[1]) < south or min(a[1], b[1], c[1]) > north:
+            continue
+        rows[count] = t
+        count += 1
+    return rows[:count].copy()
+
+
+def weights_of_rows(tin: Tin, polygon: F64) -> tuple[I64, F64]:
+    """Rows (k,) of relevant triangles, and integrals (k, 3) m² of their barycentric coordinates
+    over what lies within a counter-clockwise polygon (n, 2); 0 for the others.
     """
-    corners = np.ascontiguousarray(tin.vertices[tin.triangles[tin.relevant], :2])
-    out = np.zeros((len(tin.triangles), 3))
-    out[tin.relevant] = clipped_weights(
-        corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon)
-    )[:, 0]
-    return out
+    ring = np.ascontiguousarray(polygon)
+    rows = np.asarray(rows_that_meet(tin.vertices, tin.triangles, tin.relevant, ring))
+    corners = np.ascontiguousarray(tin.vertices[tin.triangles[rows], :2])
+    return rows, np.asarray(clipped_weights(corners, np.ones((len(rows), 3)), ring)[:, 0])
 
 
 def overlap_of(one: F64, two: F64) -> float:
@@ -359,7 +376,9 @@ def areas_inside(tin: Tin, polygon: F64) -> F64:
     """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the
     others.
     """
-    out: F64 = np.maximum(weights_inside(tin, polygon).sum(axis=1), 0.0)
+    out = np.zeros(len(tin.triangles))
+    rows, weights = weights_of_rows(tin, polygon)
+    out[rows] = np.maximum(weights.sum(axis=1), 0.0)
     return out
 
 

@@ -16,7 +16,7 @@ from ladar_volume.piles.pile_bases import pile_part
 from ladar_volume.piles.pile_site import SiteTask, made_bases, site_of
 from ladar_volume.piles.pile_volumes import net_above, piles_of
 from ladar_volume.piles.toe_bases import ToeBase, toe_base
-from ladar_volume.piles.toe_line import toe_line
+from ladar_volume.piles.toe_line import PlacedSurface, toe_line
 from ladar_volume.piles.tonnage import tonnage, total_tonnage
 from ladar_volume.volume.polygon import overlap_of
 
@@ -133,9 +133,11 @@ def test_cut_has_the_derivatives_of_brute_force(name):
     def cut_of(p):
         task = SiteTask(Parameters(), name, True, name, None, correct=False)
         found = piles_of(surface_of(p), [pile], task, lambda words: None).piles[0]
-        return found.volume.cut_raw_m3, found.solid.gradients[0]
+        return found.volume.cut_raw_m3, found.gradients[0]
 
-    _, (surface, columns) = cut_of(points)
+    _, (surface, held) = cut_of(points)
+    columns = np.zeros((len(surface.representation.tin.vertices), 2))
+    held.add_to(columns)
     gradient = np.zeros(len(points))
     gradient[surface.representation.tin.source] = columns[:, 1]
     for row in np.argsort(-np.abs(gradient))[:40:10]:
@@ -189,8 +191,10 @@ def test_a_second_surface_that_ends_within_an_outline_is_refused(quiet):
 def test_noise_of_the_total_is_that_of_the_summed_gradients():
     surface = surface_of(site(1, 0.01), 0.01)
     found = volumes(surface, "site_ground")
-    both = [p.solid.gradients[0][1][:, 0] for p in found.piles]
-    noise = 0.01**2 * float((sum(both) ** 2).sum())
+    both = np.zeros((len(surface.representation.tin.vertices), 2))
+    for p in found.piles:
+        p.gradients[0][1].add_to(both)
+    noise = 0.01**2 * float((both[:, 0] ** 2).sum())
     assert found.total.budget_m6["noise"] == pytest.approx(noise, rel=1e-9)
     alone = sum(p.volume.budget_m6["noise"] for p in found.piles)
     # one ground under both: more than of two that are independent
@@ -220,9 +224,10 @@ def test_extremes_of_a_noisy_level_line_are_not_beyond_it():
     for _ in range(30):
         xy = rng.uniform(-6.0, 6.0, (1500, 2))
         surface = surface_of(np.column_stack([xy, rng.normal(0.0, 0.05, len(xy))]), 0.05)
-        line = toe_line(surface.representation.tin, octagon(0.0, 0.0, 4.0))
+        placed = PlacedSurface.of(surface.representation.tin)
+        line = toe_line(placed, octagon(0.0, 0.0, 4.0))
         ring, variance = octagon(0.0, 0.0, 4.0), surface.vertex_variance
-        base = toe_base("toe_lowest", surface.representation.tin, ring, line, variance)
+        base = toe_base("toe_lowest", placed, ring, line, variance)
         raw = float(line.height_m.min())
         levels.append((raw, float(base.plane.beta[0])))
     raw, corrected = np.mean(levels, axis=0)
@@ -308,25 +313,20 @@ def test_places_without_a_surface_take_the_heights_of_their_neighbours(quiet):
     ring = octagon(6.0, 5.0, 6.5)
     hole = np.hypot(*(middle - ring[0]).T) < 0.8
     holed = dataclasses.replace(tin, relevant=tin.relevant & ~hole)
-    line = toe_line(holed, ring)
+    line = toe_line(PlacedSurface.of(holed), ring)
     assert 0.8 < np.mean(line.seen) < 1.0
     assert line.height_m == pytest.approx(100.0 + line.xy @ SLOPE, abs=0.05)
     assert np.allclose(np.asarray(line.by_vertex.sum(axis=1)).ravel(), 1.0)
     assert (line.length_m[~line.seen] == 0.0).all()
     with pytest.raises(VolumeError, match="% of the outline"):
-        toe_line(tin, octagon(15.0, 15.0, 4.0))
+        toe_line(PlacedSurface.of(tin), octagon(15.0, 15.0, 4.0))
 
 
 @pytest.mark.parametrize("name", TOE_BASES)
 def test_a_concave_outline_has_every_toe_base(quiet, name):
     ring = np.array([[0, 0], [11, -1], [12, 12], [5, 11.8], [5, 10.6], [1, 11]], float) - [0, 0.2]
-    base = toe_base(
-        name,
-        quiet.representation.tin,
-        ring,
-        toe_line(quiet.representation.tin, ring),
-        np.zeros(6000),
-    )
+    placed = PlacedSurface.of(quiet.representation.tin)
+    base = toe_base(name, placed, ring, toe_line(placed, ring), np.zeros(6000))
     assert isinstance(base, ToeBase)
     if base.tin is not None:
         p = base.tin.vertices[base.tin.triangles[base.tin.relevant]]

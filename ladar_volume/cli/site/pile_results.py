@@ -138,9 +138,8 @@ def pile_volumes(
     found = piles_of(surfaces[0], piles, task, progress)
     if outlines is not None:
         return found
-    inside = np.sum([pile.inside_m2 for pile in found.piles], axis=0)
     least, size = parameters.volume.min_body_m3, min(p.volume.net_m3 for p in found.piles)
-    objects, within = surfaces[0].objects, objects_within(surfaces[0], inside)
+    objects, within = surfaces[0].objects, objects_within(surfaces[0], found.inside_m2)
     beside = beside_doubts(objects, within, (least, size))
     return dataclasses.replace(found, verdict=found.verdict + Verdict(tuple(beside)))
 

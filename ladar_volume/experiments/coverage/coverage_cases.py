@@ -49,7 +49,7 @@ from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.chord_bias import chord_volumes
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.overlay import volumes_between
-from ladar_volume.volume.polygon import weights_inside
+from ladar_volume.volume.polygon import weights_of_rows
 from ladar_volume.volume.prismoids import prismoids
 
 #: The first seed; the rest count up.
@@ -298,7 +298,9 @@ def net_volumes(
     flown = fly(site, drawn, DEFAULT, seed, ground=ground)
     tin = full_tin(flown, P)
     plane, inside = base_and_outline(tin, np.zeros(len(tin.vertices)), P)
-    weights = weights_inside(tin, polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume))
+    rows, held = weights_of_rows(tin, polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume))
+    weights = np.zeros((len(tin.triangles), 3))
+    weights[rows] = held
     above_level = float((weights * tin.vertices[tin.triangles, 2]).sum())
     volumes = prismoids(tin, plane, inside > 0).net_m3, above_level
     chords = (
