@@ -1,10 +1,10 @@
 """What the last step of ``ladar_volume replay --tile`` costs, by the number of patches.
 
-    python benchmarks/last_step.py BAG FOLDER K [APART]
+    python benchmarks/last_step.py BAG FOLDER K [APART [PARAMETER=VALUE …]]
 
 puts K by K copies of the patches of a recording side by side, APART m from one another (75), as
 many tiles have them, and prints how many there are, the seconds and the memory until they are one
-surface, and those of the estimate. The outline holds one copy; the other ones are ground.
+surface, and those of the estimate. The outline holds one copy; the other ones are ground, and bodies of their own with volume.bodies=0.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def main() -> None:
     bag_path, folder, copies = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
     apart_m = float(sys.argv[4]) if len(sys.argv) > 4 else 75.0
     folder.mkdir(parents=True, exist_ok=True)
-    parameters = read_config(bag_path / "config.yaml", [])
+    parameters = read_config(bag_path / "config.yaml", sys.argv[5:])
     radius_m = parameters.filter.radius_m
     step, peak = round(apart_m / radius_m), Peak()
 
@@ -96,7 +96,8 @@ def main() -> None:
         replay = Replay(bag, parameters, bag.roles({}))
         estimate = TiledReplay(replay, Work(50.0, folder, OwnProcess())).run()
     volume = estimate.volume
-    print(f"estimate: {peak.told()}; {volume.volume_m3:.3f} ± {volume.sigma_m3:.3f} m³")
+    words = f"{len(estimate.bodies)} bodies: {peak.told()}"
+    print(f"{words}; {volume.volume_m3:.3f} ± {volume.sigma_m3:.3f} m³")
 
 
 if __name__ == "__main__":
