@@ -4,7 +4,8 @@
 
 puts K by K copies of the patches of a recording side by side, APART m from one another (75), as
 many tiles have them, and prints how many there are, the seconds and the memory until they are one
-surface, and those of the estimate. The outline holds one copy; the other ones are ground, and bodies of their own with volume.bodies=0.
+surface, and those of the estimate. The outline holds one copy; the other ones are ground, and
+bodies of their own with volume.bodies=0.
 """
 
 from __future__ import annotations
