@@ -32,7 +32,7 @@ from ladar_volume.ground.heights import height_above
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.tin.boundary import border, parts_kernel
+from ladar_volume.tin.boundary import border, part_numbers
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.centroid import plan_centre
 from ladar_volume.volume.cutfill import with_net
@@ -93,7 +93,7 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
     inside (m,) m² is the area of each triangle in it.
     """
     tin, mask = surface.representation.tin, inside > 0
-    part = parts_kernel(tin.neighbours, mask)
+    part = part_numbers(tin.neighbours, mask)
     area = np.bincount(part[mask], inside[mask], minlength=1)
     out = []
     for k in np.argsort(-area, kind="stable")[:most].tolist():

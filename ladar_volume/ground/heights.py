@@ -8,6 +8,7 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design, inverse_root, root_of_products
 from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.records import F64, Bool, Plane
 
 #: Points that are summed at once.
@@ -40,7 +41,7 @@ def heights_kernel(first: int, end: int, points: F64, origin_xy: F64, beta: F64,
 
 def heights_above(points: F64, origin_xy: F64, beta: F64) -> F64:
     """Heights (n,) m of points (n, 3) above the surface of coefficients beta (p,)."""
-    out, points = np.empty(len(points)), np.ascontiguousarray(points)
+    out, points = large_zeros((len(points),)), np.ascontiguousarray(points)
     run_in_ranges(heights_kernel, len(out), points, origin_xy, beta, out)
     return out
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.records import F64, Plane
 
@@ -17,6 +18,8 @@ COEFFICIENTS = (1, 3, 6, 10)
 #: Where what a column of length 1 has of its own beside the others is more than this, products of
 #: columns keep twelve digits of it.
 FIXED = 1e-2
+#: Heights that are told at a time: columns of all places would be more than what they are of.
+AT_ONCE = 1 << 20
 
 
 def degree_of(plane: Plane) -> int:
@@ -67,11 +70,13 @@ def design_gradient(xy: F64, origin_xy: F64, degree: int) -> F64:
 
 def base_height(plane: Plane, xy: F64) -> F64:
     """Height (n,) m of a base surface at xy (n, 2)."""
-    out = np.full(len(xy), plane.beta[0])
-    for b, column in zip(
-        plane.beta[1:], monomials(xy, plane.origin_xy, degree_of(plane)), strict=True
-    ):
-        out += b * column
+    out, degree = large_zeros((len(xy),)), degree_of(plane)
+    for first in range(0, len(xy), AT_ONCE):
+        part = out[first : first + AT_ONCE]
+        part += plane.beta[0]
+        columns = monomials(xy[first : first + AT_ONCE], plane.origin_xy, degree)
+        for b, column in zip(plane.beta[1:], columns, strict=True):
+            part += b * column
     return out
 
 

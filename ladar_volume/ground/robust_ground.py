@@ -26,6 +26,7 @@ from ladar_volume.ground.polynomial import (
     tilt_of,
 )
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import in_its_room, taken
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -50,7 +51,8 @@ COARSE_M = 0.1
 
 def robust_sigma(residuals: F64) -> float:
     """Median absolute residual times 1.4826, m."""
-    return MAD_TO_SIGMA * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
+    size = np.abs(residuals)
+    return MAD_TO_SIGMA * float(np.median(size, overwrite_input=True)) if len(size) else 0.0
 
 
 def ground_sigma(residuals: F64) -> float:
@@ -88,7 +90,7 @@ def refine(
     beta, N, inside = _iterate_inliers(points, origin, inside, parameters, floor)
     residual = heights_above(points, origin, beta)[inside]
     C_beta = N @ design_sums(points, inside, origin, degree, variance)[0] @ N
-    support = np.flatnonzero(inside).astype(np.int64)
+    support: I64 = in_its_room(np.flatnonzero(inside).astype(np.int64, copy=False))
     plane = Plane(origin, beta, C_beta, support, float(np.sqrt(np.mean(residual**2))))
     check_tilt(plane, parameters)
     return plane
@@ -150,14 +152,14 @@ def fit_ground(
     )
     p = points
     if not np.array_equal(chosen, np.arange(len(points))):  # all are not copied: for memory
-        p, variance = points[chosen], variance[chosen]
+        p, variance = taken(points, chosen), taken(variance, chosen)
     check_points(p, variance, parameters.degree)
     step = max(1, len(p) // SEARCHED_POINTS)
     plane = search_surface(p[::step], variance[::step], parameters, coarse_m)
     if step > 1:
         plane = refine(p, variance, plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
     check_surface(p, variance, plane, parameters)
-    return dataclasses.replace(plane, support=chosen[plane.support])
+    return dataclasses.replace(plane, support=taken(chosen, plane.support))
 
 
 def check_points(p: F64, variance: F64, degree: int) -> None:

@@ -37,6 +37,16 @@ def large_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> np
     return _rooms[-1](shape, dtype) if _rooms and large else np.zeros(shape, dtype)
 
 
+def taken(array: npt.NDArray[Any], rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The rows (k,) of an array (n, ...), as ``array[rows]``. Raises IndexError for others."""
+    n = len(array)
+    if len(rows) and not -n <= rows.min() <= rows.max() < n:
+        raise IndexError(f"rows from {rows.min()} to {rows.max()} of {n}")
+    out = large_zeros((len(rows), *array.shape[1:]), array.dtype)
+    # of the modes that write without a copy this one counts -1 from the end
+    return np.take(array, rows, axis=0, out=out, mode="wrap")
+
+
 def in_its_room(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """The array, moved to where large ones lie, if it is one."""
     if not _rooms or array.nbytes < LARGE_BYTES:

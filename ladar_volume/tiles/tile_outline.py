@@ -23,7 +23,7 @@ from ladar_volume.tiles.array_file import read, write
 from ladar_volume.tiles.tile_batches import TiledCloud
 from ladar_volume.tiles.tile_store import Tile
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import part_numbers
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 
 #: x and y low, x and y high, m.
@@ -61,7 +61,7 @@ def rising_parts(
     tin = surface.tin
     height = height_above(tin.vertices, base)
     high = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
-    label = np.asarray(parts_kernel(tin.neighbours, high), np.int64)
+    label = np.asarray(part_numbers(tin.neighbours, high), np.int64)
     own = np.flatnonzero(high & surface.counted)
     t = tin.triangles[own]
     volume = footprint_areas(tin.vertices, t) * height[t].mean(axis=1)
@@ -154,7 +154,7 @@ def grow(
     mask = chosen_parts(read(folder, "rising", tile), chosen)
     close = near_stored_places(tin.vertices[:, :2], folder, "body", neighbours, margin_m)
     grown = tin.relevant & (mask | any_corner(tin.triangles, close))
-    label = np.asarray(parts_kernel(tin.neighbours, ~grown), np.int64)
+    label = np.asarray(part_numbers(tin.neighbours, ~grown), np.int64)
     leads = (label >= 0) & (~tin.relevant | (tin.neighbours == -1).any(axis=1))
     total = np.bincount(label[leads], minlength=label.max(initial=-1) + 1).astype(np.float64)
     write(folder, "grown", tile, label)

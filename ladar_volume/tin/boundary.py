@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
@@ -120,12 +121,20 @@ def ears_kernel(neighbours: I32, lengths: F64, mask: Bool, limit: float) -> None
                         top += 1
 
 
-@kernel
-def parts_kernel(neighbours: I32, mask: Bool) -> I32:
+def part_numbers(neighbours: I32, mask: Bool) -> I32:
     """Number (m,) of the part each triangle of the mask belongs to, parts joined by edges, numbered
     by their first triangle; -1 off it.
     """
-    part, stack, parts = np.full(len(mask), -1, np.int32), np.empty(len(mask), np.int32), 0
+    part, stack = (large_zeros(mask.shape, np.int32) for _ in range(2))
+    parts_kernel(neighbours, mask, part, stack)
+    return part
+
+
+@kernel
+def parts_kernel(neighbours: I32, mask: Bool, part: I32, stack: I32) -> None:
+    """See :func:`part_numbers`; stack : (m,) room."""
+    parts = 0
+    part[:] = -1
     for first in range(len(mask)):
         if not mask[first] or part[first] >= 0:
             continue
@@ -139,7 +148,6 @@ def parts_kernel(neighbours: I32, mask: Bool) -> I32:
                     part[o], stack[top] = parts, o
                     top += 1
         parts += 1
-    return part
 
 
 def ears(tin: Tin, mask: Bool, max_edge_m: float) -> Bool:
@@ -155,7 +163,7 @@ def islands(tin: Tin, mask: Bool, min_area_m2: float) -> Bool:
     """Triangles (m,) in parts of the mask, joined by edges, whose horizontal area is below
     ``min_area_m2``.
     """
-    part = parts_kernel(tin.neighbours, mask)
+    part = part_numbers(tin.neighbours, mask)
     area = np.bincount(part[mask], footprint_areas(tin.vertices, tin.triangles)[mask])
     out = mask.copy()
     out[mask] = area[part[mask]] * (1.0 + LIMIT_SHARE) < min_area_m2
@@ -168,7 +176,7 @@ def holes(tin: Tin, mask: Bool, max_area_m2: float) -> Bool:
     vertex are no holes.
     """
     off: Bool = np.logical_not(mask)
-    part = parts_kernel(tin.neighbours, off)[off]
+    part = part_numbers(tin.neighbours, off)[off]
     if len(part) == 0:
         return off
     area = np.bincount(part, footprint_areas(tin.vertices, tin.triangles)[off])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import in_its_room
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.tin.insertion_order import insertion_order
@@ -140,7 +141,7 @@ class Triangulation:
     @property
     def vertices(self) -> I64:
         """Indices (k,), ascending, of the points that are vertices."""
-        return np.flatnonzero(self.same == np.arange(len(self.same), dtype=np.int32))
+        return in_its_room(np.flatnonzero(self.same == np.arange(len(self.same), dtype=np.int32)))
 
 
 @kernel

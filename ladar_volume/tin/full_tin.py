@@ -8,6 +8,7 @@ import numpy as np
 
 from ladar_volume.math.equal_rows import rows_of
 from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.delaunay import Triangulation, finite_points, triangulate
 from ladar_volume.tin.triangle_table import precedes
@@ -84,7 +85,7 @@ def footprint_areas(vertices: F64, triangles: I32) -> F64:
     """Signed horizontal areas (m,) m² of triangles (m, 3) over vertices (n, 3); positive
     counter-clockwise from above.
     """
-    out = np.empty(len(triangles))
+    out = large_zeros((len(triangles),))
     run_in_ranges(area_kernel, len(out), vertices, triangles, out)
     return out
 

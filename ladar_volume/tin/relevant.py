@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_ranges
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import area_of
@@ -38,6 +39,14 @@ def length_kernel(vertices: F64, triangles: I32) -> F64:
         for k in range(3):
             out[t, k] = side_length(vertices, triangles, t, k)
     return out
+
+
+@kernel
+def edge_kernel(vertices: F64, triangles: I32, limit: float, mask: Bool) -> None:
+    """Take those out of the triangles in ``mask`` (m,) that have an edge longer than a limit, m."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            mask[t] &= side_length(vertices, triangles, t, k) <= limit
 
 
 def edge_lengths(tin: Tin, mask: Bool | None = None) -> F64:
@@ -121,7 +130,7 @@ def circumdiameters(vertices: F64, triangles: I32) -> F64:
     product of the edges over twice the area; infinite for a triangle so flat that its area rounds
     to zero.
     """
-    out = np.empty(len(triangles))
+    out = large_zeros((len(triangles),))
     run_in_ranges(circle_kernel, len(out), vertices, triangles, out)
     return out
 
@@ -129,7 +138,7 @@ def circumdiameters(vertices: F64, triangles: I32) -> F64:
 def step_of(tin: Tin) -> float:
     """What lengths between vertices may be off by, m, since coordinates are rounded."""
     xy = tin.vertices[:, :2]
-    return STEPS * float(np.spacing(np.abs(xy).max())) if len(xy) else 0.0
+    return STEPS * float(np.spacing(max(xy.max(), -xy.min()))) if len(xy) else 0.0
 
 
 def widened(tin: Tin, limit_m: float) -> float:
@@ -184,8 +193,7 @@ def relevant_triangles(
     if len(artificial):
         mask &= ~np.isin(tin.triangles, artificial).any(axis=1)
     if option == "edge":
-        for edge in edge_lengths(tin).T:
-            mask &= edge <= widened(tin, max_edge_m)
+        edge_kernel(tin.vertices, tin.triangles, widened(tin, max_edge_m), mask)
     elif option == "circumcircle":
         mask &= circumdiameters(tin.vertices, tin.triangles) <= widened(tin, max_circumdiameter_m)
     return mask

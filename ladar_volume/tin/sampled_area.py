@@ -25,7 +25,7 @@ from ladar_volume.math.kernels import in_threads, kernel, leaf_kernel, run_in_ra
 from ladar_volume.math.own_axes import along_own_axes, extent_of, raster_between
 from ladar_volume.math.union_find import root_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import part_numbers
 from ladar_volume.tin.full_tin import build_tin, footprint_areas, vertex_mask
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameter_of, side_length
@@ -356,7 +356,7 @@ def sampled_area(tin: Tin) -> SampledArea:
             spacing,
         )
     mask = ~peel_gaps(tin, spacing, area)
-    part = parts_kernel(tin.neighbours, mask)
+    part = part_numbers(tin.neighbours, mask)
     # a part of two or three triangles is no area that was sampled
     size = np.bincount(part[mask], minlength=1)
     mask[mask] = size[part[mask]] > FEWEST // 10
@@ -364,7 +364,7 @@ def sampled_area(tin: Tin) -> SampledArea:
     bridged, gap, shown = np.empty_like(mask), np.empty_like(mask), np.where(known, spacing, 0.0)
     corners = Corners(tin.vertices, tin.triangles)
     run_in_ranges(wide_kernel, len(mask), corners, mask, shown, bridged, gap)
-    number = parts_kernel(tin.neighbours, gap)[gap]
+    number = part_numbers(tin.neighbours, gap)[gap]
     hole = np.bincount(number, area[gap], minlength=1)
     at = shown[tin.triangles[gap]].max(axis=1)
     mean = np.bincount(number, at**2, minlength=1) / np.maximum(np.bincount(number, minlength=1), 1)

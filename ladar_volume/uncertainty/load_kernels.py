@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.records import F32, F64, I8, I16, I32, I64
 from ladar_volume.uncertainty.patch_merge import place_from
 
@@ -47,12 +48,18 @@ class Entries(NamedTuple):
     value: F64
 
 
-@kernel
-def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> I32:
+def neighbour_rows(key: I64, start: I64, cross_key: I64) -> I32:
     """Row (b,) of the patch with each cross key among ascending keys (m,), -1 for one that is not
     there. start : (m + 1,) of each patch's blocks.
     """
-    row = np.empty(len(cross_key), np.int32)
+    row: I32 = large_zeros(cross_key.shape, np.int32)
+    neighbour_kernel(key, start, cross_key, row)
+    return row
+
+
+@kernel
+def neighbour_kernel(key: I64, start: I64, cross_key: I64, row: I32) -> None:
+    """See :func:`neighbour_rows`."""
     for a in range(len(key)):
         low = a
         for i in range(start[a], start[a + 1]):
@@ -60,7 +67,6 @@ def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> I32:
             low = place_from(key, wanted, low)  # mostly near the one before
             low = min(low, len(key) - 1)
             row[i] = low if key[low] == wanted else -1
-    return row
 
 
 @kernel

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.georeference.error_budget import calibration_columns
-from ladar_volume.math.large_arrays import in_its_room, large_zeros
+from ladar_volume.math.large_arrays import in_its_room, large_zeros, taken
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, PatchTable
@@ -23,13 +23,15 @@ from ladar_volume.uncertainty.load_kernels import (
     cross_kernel,
     load_kernel,
     navigation_kernel,
-    neighbour_kernel,
+    neighbour_rows,
     quadratic_kernel,
 )
 from ladar_volume.uncertainty.packing import calibration_parts, factor_loads, navigation_units
 
 #: Longest survey, in time bins, whose bins are looked up in a table.
 LONGEST = 1 << 22
+#: Sensitivities that are numbered at a time.
+AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class SurfaceGeometry:
 
     def design(self, points: I64) -> F64:
         """Design rows (..., p) of points (...,)."""
-        return design_rows(self.local[points], self.parameters)
+        return design_rows(taken(self.local, points), self.parameters)
 
     @property
     def block_rows(self) -> I64:
@@ -84,7 +86,7 @@ def surface_geometry(points: FilteredPoints, patches: PatchTable) -> SurfaceGeom
                 reason="volume_patches",
             )
     row = in_its_room(np.searchsorted(patches.key, points.patch))
-    right = in_its_room(neighbour_kernel(patches.key, patches.cross_start, patches.cross_key))
+    right = neighbour_rows(patches.key, patches.cross_start, patches.cross_key)
     return SurfaceGeometry(row, points.local, p, patches.cross_start, right)
 
 
@@ -200,6 +202,12 @@ def time_bins(patches: PatchTable) -> tuple[I64, I32]:
     ):  # a table of all between would be larger than the data
         bins = np.unique(patches.nav_bin)
         return bins, np.searchsorted(bins, patches.nav_bin).astype(np.int32)
-    seen = np.bincount(patches.nav_bin - low)
-    index = (np.cumsum(seen > 0) - 1).astype(np.int32)[patches.nav_bin - low]
-    return np.flatnonzero(seen) + low, in_its_room(index)
+    count = int(patches.nav_bin.max()) - low + 1 if len(patches.nav_bin) else 0
+    seen, index = np.zeros(count, np.bool_), large_zeros(patches.nav_bin.shape, np.int32)
+    parts = [slice(at, at + AT_ONCE) for at in range(0, len(index), AT_ONCE)]
+    for part in parts:
+        seen[patches.nav_bin[part] - low] = True
+    number = (np.cumsum(seen) - 1).astype(np.int32)
+    for part in parts:
+        index[part] = number[patches.nav_bin[part] - low]
+    return np.flatnonzero(seen) + low, index

@@ -34,6 +34,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.large_arrays import large_zeros
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, I32, I64, PatchTable
 from ladar_volume.uncertainty.load_kernels import BinRows
@@ -203,8 +204,11 @@ def curvatures(
     position, R = navigation.mean_pose(bins)
     p, n = patches, patches.normal
     upright = np.copysign(np.maximum(np.abs(n[:, 2]), STEEPEST), n[:, 2])
-    slope, weight = -n[:, :2] / upright[:, None], np.abs(q[:, 0] * upright)
+    slope: F64 = large_zeros((len(p), 2))
+    np.divide(-n[:, :2], upright[:, None], out=slope)
+    weight = np.abs(q[:, 0] * upright)
     slope -= weight @ slope / max(float(weight.sum()), 1e-300)
+    del weight, upright
     found = curvature_kernel(
         q,
         bin_rows(p, index),

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.large_arrays import large_zeros, taken
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.records import (
     F32,
@@ -35,16 +36,20 @@ from ladar_volume.uncertainty.propagation import SurfaceGeometry
 RINGS, MOST_RINGS = 4, 12
 
 
+def upward(points: FilteredPoints, rows: I64) -> F64:
+    """Vertical components (k,) of the normals of some points (k,), no less than of a wall."""
+    out: F64 = taken(points.normal[:, 2], rows)
+    return np.maximum(np.abs(out, out=out), LEAST_UPWARD, out=out)
+
+
 def vertex_rows(
     tin: Tin, points: FilteredPoints, patches: PatchTable, geometry: SurfaceGeometry
 ) -> tuple[F64, I64]:
     """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks
     are, and that patch (n,).
     """
-    up = np.maximum(np.abs(points.normal[tin.source, 2]), LEAST_UPWARD)
-    row = geometry.row[tin.source]
-    X = geometry.design(tin.source)
-    X /= up[:, None]
+    row, X = taken(geometry.row, tin.source), geometry.design(tin.source)
+    X /= upward(points, tin.source)[:, None]
     return factor_rows(X, row, patches), row
 
 
@@ -148,9 +153,9 @@ def height_sums(
     for the vertices that are not chosen.
     """
     m, p = len(patches), X.shape[1]
-    load: F64 = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1).astype(
-        np.float64
-    )
+    load: F64 = large_zeros((m, p))
+    for k in range(p):
+        load[:, k] = np.bincount(row, X[:, k], m)
     touched = np.zeros(m, bool)
     touched[row[chosen]] = True
     total = sum_kernel(patches.cross_start, geometry.right, patches.cross, load, touched)
@@ -160,7 +165,8 @@ def height_sums(
         if len(chosen)
         else 1.0
     )
-    out = alike * variance
+    out = large_zeros(variance.shape)
+    np.multiply(alike, variance, out=out)
     out[chosen] = own
     return out, alike
 

@@ -171,7 +171,8 @@ class Sources:
             patch_loads(gradient, self.patches, self.geometry),
             tangential_variance(gradient[:, 0], self.points),
         )
-        first = np.ascontiguousarray(q[:, :, 0])
+        first: F64 = large_zeros(q.shape[:2])
+        first[...] = q[:, :, 0]
         smoothing = smoothing_of(gradient[:, 0], first, self.patches, self.geometry.row)
         del gradient  # the largest of all that is held meanwhile
         H = curvatures(first, self.patches, self.navigation, self.time_bins)

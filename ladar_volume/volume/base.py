@@ -43,7 +43,7 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
         if p.outline == "polygon":  # what is inside, such as a pit, is no ground
             used = surroundings(tin, area_inside(tin, ZERO, p) > 0, 0.0)
         else:
-            used = np.flatnonzero(vertex_mask(tin, tin.relevant))
+            used = in_its_room(np.flatnonzero(vertex_mask(tin, tin.relevant)))
         base = fit_ground(
             tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used
         )
@@ -70,7 +70,8 @@ def settled_outline(
             seen = seen[again[0] + 1 :]
             break
         seen.append(mask)
-    inside = in_its_room(np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0))
+    inside = footprint_areas(tin.vertices, tin.triangles)
+    inside[~mask] = 0.0
     others = [other for other in seen[-LAST:] if other is not mask]
     moved = max((abs(volume_between(tin, base, other, mask)) for other in others), default=0.0)
     return dataclasses.replace(base, unsettled_m3=moved), inside
@@ -111,7 +112,9 @@ def area_inside(tin: Tin, base: Plane, p: VolumeParameters) -> F64:
             )
         return inside
     mask = tin.relevant if p.outline == "all" else body_outline(tin, base, p, {})
-    return in_its_room(np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0))
+    out = footprint_areas(tin.vertices, tin.triangles)
+    out[~mask] = 0.0
+    return out
 
 
 def body_outline(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, Bool]) -> Bool:

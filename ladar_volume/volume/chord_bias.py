@@ -22,6 +22,8 @@ from ladar_volume.model.records import F64, I32, Plane, Tin
 #: Least vertical component of a normal that says what its surroundings do to a height: steeper
 #: walls are not looked at.
 LEAST_UP = 0.3
+#: Triangles that are summed at a time.
+AT_ONCE = 1 << 20
 
 
 @kernel
@@ -62,11 +64,10 @@ def cut_and_fill_chords(tin: Tin, normal: F64, base: Plane, inside_m2: F64) -> t
     """The sums, m³, of :func:`chord_volumes` over the triangles that lie above a base, with their
     middle, and over those below.
     """
-    volume = chord_volumes(tin, normal, inside_m2)
+    volume, cut = chord_volumes(tin, normal, inside_m2), 0.0
     height = height_above(tin.vertices, base)
-    above = (
-        height[tin.triangles[:, 0]] + height[tin.triangles[:, 1]] + height[tin.triangles[:, 2]]
-        > 0.0
-    )
-    cut = float(volume @ above)
+    for first in range(0, len(volume), AT_ONCE):
+        t = tin.triangles[first : first + AT_ONCE]
+        above = height[t[:, 0]] + height[t[:, 1]] + height[t[:, 2]] > 0.0
+        cut += float(volume[first : first + AT_ONCE] @ above)
     return cut, float(volume.sum()) - cut

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ladar_volume.ground.ground_adjoint import ground_inverse
-from ladar_volume.math.large_arrays import in_its_room
+from ladar_volume.math.large_arrays import in_its_room, taken
 from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, PatchTable, Plane, Tin, Volume
@@ -71,7 +71,7 @@ class SurveyedSurface:
     @cached_property
     def normal(self) -> F64:
         """Unit normals (v, 3) of the surface at its vertices."""
-        return in_its_room(self.points.normal[self.tin.source])
+        return taken(self.points.normal, self.tin.source)
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def _smoothing_of_cut(body: MeasuredBody) -> float:
     surface alone; the other has what is left of the net volume's, with what the base has of it.
     """
     solid, net_m3, survey = body.solid, body.budget.smoothing_m3, body.on.survey
-    row = survey.sources.geometry.row[survey.tin.source]
+    row = taken(survey.sources.geometry.row, survey.tin.source)
     if solid.cut_m3 >= solid.fill_m3:
         return net_m3 - own_shift(solid.gradient_fill, survey.patches, row)
     return -own_shift(solid.gradient_cut, survey.patches, row)

@@ -9,16 +9,17 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.ground.heights import height_above
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.large_arrays import in_its_room, large_zeros
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
-from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
+from ladar_volume.tin.boundary import boundary_sides, part_numbers, side_ends
 from ladar_volume.tin.full_tin import any_corner, area_of, footprint_areas, vertex_mask
 from ladar_volume.volume.centroid import plan_centre
 
 
 def components(tin: Tin, mask: Bool) -> I32:
     """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
-    return np.asarray(parts_kernel(tin.neighbours, mask))
+    return part_numbers(tin.neighbours, mask)
 
 
 def labelled_bodies(
@@ -112,10 +113,8 @@ def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     some = vertex_mask(tin, mask)
     if not some.any():
         return some
-    out = np.asarray(
-        reached_vertices(
-            tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9)
-        )
+    out = reached_vertices(
+        tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9)
     )
     bound, rest = 1.001 * distance_m + 1e-6, ~out  # the search excludes its bound
     for c in tin.vertices.T[:2]:
@@ -130,7 +129,6 @@ def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     return out
 
 
-@kernel
 def reached_vertices(
     triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance_m: float
 ) -> Bool:
@@ -138,11 +136,29 @@ def reached_vertices(
     these show themselves on the way from triangle to triangle: each vertex tries those that its
     neighbours found. That is most of them, for less than a search each.
     """
-    m, nearest = len(triangles), np.full(len(vertices), -1, np.int32)
-    queue, queued, first, last = np.empty(m, np.int32), np.zeros(m, np.bool_), 0, 0
+    m, n = len(triangles), len(vertices)
+    queue, nearest = large_zeros((m,), np.int32), large_zeros((n,), np.int32)
+    reach_kernel(triangles, neighbours, vertices, some, distance_m, queue, nearest)
+    return nearest >= 0
+
+
+@kernel
+def reach_kernel(
+    triangles: I32,
+    neighbours: I32,
+    vertices: F64,
+    some: Bool,
+    distance_m: float,
+    queue: I32,
+    nearest: I32,
+) -> None:
+    """See :func:`reached_vertices`: the nearest vertex found for each (n,), -1 for none; queue :
+    (m,) room
+    """
+    m = len(triangles)
+    queued, first, last = np.zeros(m, np.bool_), 0, 0
     for v in range(len(vertices)):
-        if some[v]:
-            nearest[v] = v
+        nearest[v] = v if some[v] else -1
     for t in range(m):
         found = int(some[triangles[t, 0]]) + int(some[triangles[t, 1]]) + int(some[triangles[t, 2]])
         if 0 < found < 3:
@@ -166,7 +182,6 @@ def reached_vertices(
             o = neighbours[t, k]
             if found == 3 and o >= 0 and not queued[o]:
                 queue[last], queued[o], last = o, True, last + 1
-    return nearest >= 0
 
 
 def widen_body(tin: Tin, body: Bool, margin_m: float) -> Bool:
@@ -208,7 +223,7 @@ def surroundings(tin: Tin, outline: Bool, ring_m: float) -> I64:
     outside = vertex_mask(tin, tin.relevant) & ~vertex_mask(tin, outline)
     if ring_m > 0:
         outside &= vertices_within(tin, outline, ring_m)
-    return np.flatnonzero(outside).astype(np.int64)
+    return in_its_room(np.flatnonzero(outside).astype(np.int64, copy=False))
 
 
 def boundary_loop(tin: Tin, mask: Bool) -> F64:

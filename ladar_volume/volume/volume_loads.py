@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.ground.ground_adjoint import add_ground_gradient, ground_residuals
 from ladar_volume.ground.heights import height_above
-from ladar_volume.math.large_arrays import in_its_room, large_zeros
+from ladar_volume.math.large_arrays import large_zeros, taken
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
     F64,
@@ -33,6 +33,7 @@ from ladar_volume.uncertainty.vertex_noise import (
     corner_covariances,
     height_sums,
     rings_for,
+    upward,
     vertex_rows,
 )
 from ladar_volume.uncertainty.volume_budget import Sources
@@ -56,8 +57,10 @@ def vertex_variance(surface: RepresentedSurface, points: FilteredPoints) -> F64:
     that the adjustment makes of it.
     """
     tin = surface.tin
-    height = points.variance / np.maximum(points.normal[:, 2] ** 2, LEAST_UPWARD**2)
-    own: F64 = in_its_room(height[tin.source])
+    height, up = large_zeros((len(points),)), large_zeros((len(points),))
+    np.maximum(np.square(points.normal[:, 2], out=up), LEAST_UPWARD**2, out=up)
+    np.divide(points.variance, up, out=height)
+    own: F64 = taken(height, tin.source)
     if surface.fit is None:
         return own
     B, unit = surface.fit.B, height_covariance(tin, surface.fit, np.ones(len(own))).diagonal()
@@ -118,10 +121,10 @@ def near_correction(
     tin, whole = surface.tin, whole_triangles(surface.tin, inside_m2)
     height = height_above(tin.vertices, base)
     X, row = vertex_rows(tin, points, patches, geometry)
-    variance = (
-        points.variance[tin.source]
-        / np.maximum(np.abs(points.normal[tin.source, 2]), LEAST_UPWARD) ** 2
-    )
+    variance, up = taken(points.variance, tin.source), upward(points, tin.source)
+    up *= up
+    variance /= up
+    del up
     t = tin.triangles[whole]
     close = t[near_triangles(t, height, variance)]
     if not len(close):

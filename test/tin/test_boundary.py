@@ -15,7 +15,7 @@ from ladar_volume.tin.boundary import (
     holes,
     islands,
     open_sides,
-    parts_kernel,
+    part_numbers,
 )
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.relevant import (
@@ -76,7 +76,7 @@ def test_plain_twins(seed):
     for limit in (0.0, 0.1, 0.2, np.inf):
         expected = ears_plain(tin, mask, limit, rng)
         assert np.array_equal(ears(tin, mask, limit), expected)
-    part = parts_kernel(tin.neighbours, mask)
+    part = part_numbers(tin.neighbours, mask)
     assert np.array_equal(part, parts_plain(tin.neighbours, mask))
     # sides towards no triangle, or one that does not count, and the longest of them
     open_ = (tin.neighbours < 0) | ~mask[tin.neighbours]

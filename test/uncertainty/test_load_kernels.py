@@ -22,7 +22,7 @@ from ladar_volume.uncertainty.load_kernels import (
     deviation_kernel,
     height_kernel,
     naive_kernel,
-    neighbour_kernel,
+    neighbour_rows,
     pair_falls_kernel,
     quadratic_kernel,
     shared_kernel,
@@ -94,11 +94,11 @@ def test_neighbours_are_found_whatever_their_order():
     start = np.concatenate([[0], np.cumsum(rng.integers(0, 9, 60))])
     cross_key = rng.integers(0, 700, start[-1])
     cross_key[start[:-1][np.diff(start) > 0]] = key[np.diff(start) > 0]  # own block first
-    row = neighbour_kernel(key, start, cross_key)
+    row = neighbour_rows(key, start, cross_key)
     known = np.isin(cross_key, key)
     assert 0 < known.sum() < len(known) and np.array_equal(row >= 0, known)
     assert np.array_equal(key[row[known]], cross_key[known])
-    assert len(neighbour_kernel(key[:1], np.zeros(2, np.int64), np.zeros(0, np.int64))) == 0
+    assert len(neighbour_rows(key[:1], np.zeros(2, np.int64), np.zeros(0, np.int64))) == 0
 
 
 def test_time_bins(monkeypatch):

@@ -15,7 +15,7 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, Bool, Tin
-from ladar_volume.tin.boundary import parts_kernel, side_ends
+from ladar_volume.tin.boundary import part_numbers, side_ends
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.sampled_area import SampledArea
 
@@ -70,7 +70,7 @@ class EdgeTriangles:
         """The flat triangles (m,) that lie along the edge: those with an open side, and all that
         are joined to them.
         """
-        part = parts_kernel(tin.neighbours, self.flat)
+        part = part_numbers(tin.neighbours, self.flat)
         at = np.flatnonzero(self.flat & self.open.any(axis=1))
         found = np.zeros(int(part.max(initial=-1)) + 2, np.bool_)
         found[part[at]] = True

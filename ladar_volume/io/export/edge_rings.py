@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.model.records import F64, I32, Bool, Tin
-from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
+from ladar_volume.tin.boundary import boundary_sides, part_numbers, side_ends
 from ladar_volume.volume.polygon import signed_area
 
 
@@ -26,7 +26,7 @@ def polygons_of(tin: Tin, mask: Bool) -> list[Polygon]:
     """The polygons of the triangles (m,), one for each part joined by edges, the largest first.
     Rings meet themselves and one another in single vertices at most.
     """
-    part = np.asarray(parts_kernel(tin.neighbours, mask))
+    part = np.asarray(part_numbers(tin.neighbours, mask))
     rings = edge_rings(tin, mask, part)
     out = []
     for number in sorted(rings):

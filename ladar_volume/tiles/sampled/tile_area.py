@@ -27,7 +27,7 @@ from ladar_volume.tiles.tile_surface import (
     used_of,
 )
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import part_numbers
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.sampled_area import ALONE, FEWEST, Corners, open_parts, wide_kernel
 
@@ -86,7 +86,7 @@ def left_parts(of: TiledCloud, tile: Tile, task: AreaTask, deep: Bool) -> SmallP
     surface = surface_of(of.index, EVERY, tile)
     tin = surface.tin
     left = ~np.append(deep, False)[read(task.folder, "open", tile)]
-    label = np.asarray(parts_kernel(tin.neighbours, left), np.int64)
+    label = np.asarray(part_numbers(tin.neighbours, left), np.int64)
     n = int(label.max(initial=-1)) + 1
     size = np.bincount(label[left & surface.counted], minlength=n)
     small = size <= FEWEST // 10

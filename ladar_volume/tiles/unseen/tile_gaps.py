@@ -18,7 +18,7 @@ from ladar_volume.tiles.tile_patch import inside_of
 from ladar_volume.tiles.tile_store import Tile, TileIndex
 from ladar_volume.tiles.tile_surface import TileSurface, surface_of, used_of
 from ladar_volume.tiles.unseen.tile_spacing import Rasters
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import part_numbers
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.relevant import longest_sides
 from ladar_volume.volume.field_checks.gap_kriging import REACH, SPACINGS, ObservedPoints, diameter
@@ -69,7 +69,7 @@ def wide_parts(of: TiledCloud, tile: Tile, asked: Spanned) -> WideParts:
     """The parts of a tile's triangles that are too wide, their numbers at rest."""
     surface = surface_of(of.index, of.limits, tile)
     wide, here = wide_triangles(surface, inside_of(surface, tile, asked.outline), asked)
-    label = np.asarray(parts_kernel(surface.tin.neighbours, wide), np.int64)
+    label = np.asarray(part_numbers(surface.tin.neighbours, wide), np.int64)
     own, n = np.flatnonzero(wide & surface.counted), label.max(initial=-1) + 1
     area = footprint_areas(surface.tin.vertices, surface.tin.triangles[own])
     total, square = (

@@ -31,7 +31,7 @@ from ladar_volume.tiles.tile_surface import surface_folder, surface_of
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels
 from ladar_volume.tiles.tiled_ranks import median_of_tiles
-from ladar_volume.tin.boundary import first_ends, parts_kernel
+from ladar_volume.tin.boundary import first_ends, part_numbers
 from ladar_volume.tin.full_tin import footprint_areas
 
 
@@ -86,7 +86,7 @@ def flat_parts(
     # the tile's own triangles come first, in their order
     flat = edge.flat[: len(inside)]
     at = rows_at(patch.tin.vertices, surface.tin.vertices)
-    label = np.asarray(parts_kernel(surface.tin.neighbours, flat), np.int64)
+    label = np.asarray(part_numbers(surface.tin.neighbours, flat), np.int64)
     write(folder, "flat", tile, label)
     write(folder, "cell", tile, edge.cell[at])
     at_side = is_open.any(axis=1) & flat

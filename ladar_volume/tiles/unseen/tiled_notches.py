@@ -21,7 +21,7 @@ from ladar_volume.tiles.tile_store import Tile, digest
 from ladar_volume.tiles.tile_surface import EVERY, surface_folder, surface_of
 from ladar_volume.tiles.tiled_ground import GroundFitter
 from ladar_volume.tiles.tiled_outline import part_labels
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import part_numbers
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.notches import large_bays, notch_doubt
 
@@ -57,7 +57,7 @@ def bays(of: TiledCloud, tile: Tile, folder: Path, base: Plane) -> TileParts:
     """Parts of the triangles of a tile that do not count, at rest, and what they hold, m³."""
     surface = surface_of(of.index, of.limits, tile)
     tin = surface.tin
-    label = np.asarray(parts_kernel(tin.neighbours, ~tin.relevant), np.int64)
+    label = np.asarray(part_numbers(tin.neighbours, ~tin.relevant), np.int64)
     n = int(label.max(initial=-1)) + 1
     own = np.flatnonzero(surface.counted & (label >= 0))
     t = tin.triangles[own]

@@ -98,8 +98,7 @@ def bridging_triangles(
         return left & (areas_inside(whole, polygon) > 0.0)
     part = components(tin, left)
     inside: Bool = inside_m2 > 0.0
-    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
-    beside: Bool = np.asarray(beyond.any(axis=1))
+    beside = any_corner(tin.neighbours, np.append(inside, False))  # -1 is none of them
     count = int(part.max()) + 1
     touches = np.bincount(part[left], beside[left], count) > 0
     outer = np.bincount(part[left], (tin.neighbours[left] < 0).any(axis=1), count) > 0

@@ -11,7 +11,7 @@ import numpy as np
 from ladar_volume.ground.heights import height_above
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
-from ladar_volume.tin.boundary import border, parts_kernel
+from ladar_volume.tin.boundary import border, part_numbers
 from ladar_volume.tin.full_tin import footprint_areas
 
 #: Depth over mean width above which a bay of the outline is a notch: a corner that is missing has
@@ -30,7 +30,7 @@ def notch_doubts(tin: Tin, base: Plane, size_m3: float, sigma_m3: float) -> list
     outside = ~tin.relevant
     if not outside.any():
         return []
-    part = parts_kernel(tin.neighbours, outside)
+    part = part_numbers(tin.neighbours, outside)
     area = footprint_areas(tin.vertices, tin.triangles)
     held = area * height_above(tin.vertices, base)[tin.triangles].mean(axis=1)
     volumes = np.bincount(part[outside], held[outside]).astype(np.float64)
