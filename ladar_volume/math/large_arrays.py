@@ -38,11 +38,11 @@ def large_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> np
 
 
 def taken(array: npt.NDArray[Any], rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The rows (k,) of an array (n, ...), as ``array[rows]``. Raises IndexError for others."""
+    """The rows (...,) of an array (n, ...), as ``array[rows]``. Raises IndexError for others."""
     n = len(array)
-    if len(rows) and not -n <= rows.min() <= rows.max() < n:
+    if rows.size and not -n <= rows.min() <= rows.max() < n:
         raise IndexError(f"rows from {rows.min()} to {rows.max()} of {n}")
-    out = large_zeros((len(rows), *array.shape[1:]), array.dtype)
+    out = large_zeros((*rows.shape, *array.shape[1:]), array.dtype)
     # of the modes that write without a copy this one counts -1 from the end
     return np.take(array, rows, axis=0, out=out, mode="wrap")
 

@@ -9,7 +9,7 @@ import pytest
 from volume_surfaces import cone, platform, surface_update
 
 from ladar_volume.math import large_arrays
-from ladar_volume.math.large_arrays import in_its_room, large_arrays_in, large_zeros
+from ladar_volume.math.large_arrays import in_its_room, large_arrays_in, large_zeros, taken
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.uncertainty import volume_budget
@@ -58,6 +58,22 @@ def test_the_inner_of_two_rooms_counts_and_an_error_leaves_none(asked, monkeypat
     assert inner == [(2,)] and shapes == []
     large_zeros((2,))
     assert shapes == []
+
+
+def test_rows_are_those_of_an_index_wherever_they_lie(asked, monkeypatch):
+    monkeypatch.setattr(large_arrays, "LARGE_BYTES", 8)
+    shapes, room = asked
+    rng = np.random.default_rng(0)
+    for array in (rng.normal(size=50), rng.normal(size=(50, 3))[:, ::2], np.arange(50, dtype="i4")):
+        rows = rng.integers(-1, 50, 80)
+        for one in (rows, rows[:0], rows.astype(np.int32), rows.reshape(20, 4)):
+            assert np.array_equal(taken(array, one), array[one])
+            with large_arrays_in(room):
+                assert np.array_equal(taken(array, one), array[one])
+        for wrong in ([50], [-51]):
+            with pytest.raises(IndexError, match="of 50"):
+                taken(array, np.array(wrong))
+    assert ((80, 2), np.float64) in shapes
 
 
 def estimate():
