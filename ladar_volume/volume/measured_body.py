@@ -44,7 +44,7 @@ from ladar_volume.volume.volume_loads import (
     vertex_variance,
 )
 
-#: How far around a body checks look, m.
+#: How far around a body checks look, m, beside two radii of the filter.
 AROUND_M = 4.0
 
 

@@ -12,7 +12,9 @@ from volume_surfaces import cone
 
 from ladar_volume.model.records import Volume
 from ladar_volume.volume import estimator as stage
-from ladar_volume.volume.measured_body import BodySurface, body_surface
+from ladar_volume.volume.field_checks import base_readings, standing_objects
+from ladar_volume.volume.measured_body import AROUND_M, BodySurface, body_surface
+from ladar_volume.volume.more_data import MoreData
 
 #: Middles, radii and heights of piles, m: a steep one, one that a gap cuts, a flat one, a heap.
 PILES = (
@@ -57,9 +59,11 @@ def same(one: object, two: object) -> None:
         assert one == two
 
 
-def bodies(**volume) -> tuple[Volume, ...]:
+def measured(**volume) -> tuple[tuple[Volume, ...], MoreData]:
+    """The bodies of the yard, and where another pass would help the main one."""
     given = {"bodies": 0, "object_height_m": 0.3, "max_edge_m": 6.0} | volume
-    return estimator_of(yard, seen, 30.0, **given).estimate().bodies
+    estimator = estimator_of(yard, seen, 30.0, **given)
+    return estimator.estimate().bodies, estimator.more_data()
 
 
 @pytest.mark.parametrize("volume", [{}, {"base": "plane", "plane": [2.0, 0.01, 0.0]}])
@@ -71,7 +75,7 @@ def test_on_its_part_of_the_surface_a_body_is_what_it_is_over_the_whole(volume, 
         return parts[-1]
 
     monkeypatch.setattr(stage, "body_surface", looked_at)
-    found = bodies(**volume)
+    found, more = measured(**volume)
     assert len(found) == len(PILES) and sum(len(body.gaps) for body in found) == 1
     for on in parts:
         assert len(on.vertex) < 0.2 * 240**2
@@ -81,13 +85,19 @@ def test_on_its_part_of_the_surface_a_body_is_what_it_is_over_the_whole(volume, 
         "body_surface",
         lambda survey, footing, whole, r: BodySurface(whole, survey, whole, None),
     )
-    for one, two in zip(found, bodies(**volume), strict=True):
+    whole, more_of_whole = measured(**volume)
+    for one, two in zip(found, whole, strict=True):
         same(two, one)
+    same(more_of_whole, more)
+
+
+def test_the_part_reaches_as_far_as_checks_look():
+    assert AROUND_M >= standing_objects.AROUND_M and base_readings.TOE[1] <= 2.0
 
 
 def test_each_of_many_bodies_is_what_it_is_alone():
     """The sum of what each has is that of all as one body, to rounding."""
-    apart, together = bodies(), bodies(bodies=1)
+    (apart, _), (together, _) = measured(), measured(bodies=1)
     assert len(together) == 1
     (main,) = (b for b in apart if b.centroid_map[:2] == pytest.approx((-22, -22), abs=0.1))
     # another outline has a little of other ground, and so another base

@@ -188,14 +188,16 @@ def compute_all(
 
 @contextmanager
 def workers_end() -> Iterator[None]:
-    """An interrupt, or an error, ends workers as they are: what is not kept is computed by the next
-    run.
+    """An interrupt, or an error, ends processes that were started meanwhile as they are: what is
+    not kept is computed by the next run.
     """
+    before = active_children()
     try:
         yield
     except BaseException:
         for worker in active_children():
-            worker.terminate()
+            if worker not in before:
+                worker.terminate()
         raise
 
 

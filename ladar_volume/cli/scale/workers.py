@@ -104,7 +104,7 @@ def own_modules() -> list[str]:
     """Modules of this package that this process has imported, as workers need them, but the one
     that was run: each worker runs that as its own.
     """
-    run = getattr(sys.modules["__main__"].__spec__, "name", "")
+    run = getattr(getattr(sys.modules["__main__"], "__spec__", None), "name", "")
     own = (name for name in list(sys.modules) if name.split(".")[0] == "ladar_volume")
     return [name for name in own if name != run]
 
