@@ -252,7 +252,7 @@ LINES = (
     Line(
         "joint covariance not scaled",
         "volume/estimator.py",
-        "joint *= budget_scale(passes.agreement, self.parameters.volume.budget_check)",
+        "joint *= larger[:, None] * larger",
         "joint *= 1.0",
         ESTIMATOR,
     ),
@@ -266,8 +266,8 @@ LINES = (
     Line(
         "time of the last message, not the newest",
         "volume/estimator.py",
-        "self._t_ns = max(self._t_ns, update.t_ns)",
-        "self._t_ns = update.t_ns",
+        "self._t_ns = max(self._t_ns, t_ns)",
+        "self._t_ns = t_ns",
         ESTIMATOR,
     ),
     Line(
@@ -442,7 +442,7 @@ LINES = (
     ),
     Line(
         "registration known for certain",
-        "clouds/pair_verdict.py",
+        "clouds/sampling/pair_registration.py",
         "effect**2 + (found.sigma_m * volume.area_m2) ** 2",
         "effect**2",
         PAIR,
@@ -450,8 +450,8 @@ LINES = (
     Line(
         "gaps of a fill on the wrong side",
         "clouds/pair_verdict.py",
-        "volume.fill_m3 - (0.0 if up else more)",
-        "volume.fill_m3 + (0.0 if up else more)",
+        "sign * found.more_m3",
+        "found.more_m3",
         PAIR,
     ),
     # io

@@ -18,7 +18,7 @@ import numpy as np
 #: the last step; bytes of a row and of a patch at rest, of a return in the recording, and of a
 #: patch in the memory of the last step.
 POSES_S, RETURN_S, ROW_S, PATCH_S = 0.015, 2.7e-6, 16.5e-6, 39e-6
-ROW_B, PATCH_B, RETURN_B, HELD_B = 113.0, 7700.0, 13.0, 330.0
+ROW_B, PATCH_B, RETURN_B, HELD_B = 113.0, 7700.0, 13.0, 215.0
 #: Rows and patches of a square metre, returns a second, seconds of a piece, m of a tile.
 ROWS_M2, PATCHES_M2, RATE, PIECE_S, TILE_M = 67.0, 3.5, 300e3, 60.0, 50.0
 #: What the scheduler takes for a task, s.
