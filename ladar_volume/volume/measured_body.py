@@ -44,7 +44,7 @@ from ladar_volume.volume.volume_loads import (
     vertex_variance,
 )
 
-#: How far around a body checks look, m, beside two radii of the filter.
+#: How far around a body checks look, m; two radii of the filter where these are more.
 AROUND_M = 4.0
 
 

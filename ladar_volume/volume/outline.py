@@ -16,6 +16,9 @@ from ladar_volume.tin.boundary import boundary_sides, part_numbers, side_ends
 from ladar_volume.tin.full_tin import any_corner, area_of, footprint_areas, vertex_mask
 from ladar_volume.volume.centroid import plan_centre
 
+#: Nearest vertices of bodies among which those that are as near are looked for.
+TIES = 8
+
 
 def components(tin: Tin, mask: Bool) -> I32:
     """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
@@ -102,7 +105,11 @@ def nearest_bodies(tin: Tin, outline: Bool, label: I32, kept: list[int]) -> I32:
     body[tin.triangles[rows]] = out[rows, None]
     own = np.flatnonzero(body >= 0)
     middle = tin.vertices[tin.triangles[rest], :2].mean(axis=1)
-    out[rest] = body[own[np.asarray(cKDTree(tin.vertices[own, :2]).query(middle)[1])]]
+    # on a lattice vertices of two bodies are as near: the larger body counts, in any order of them
+    k = min(TIES, len(own))
+    tree = cKDTree(tin.vertices[own, :2])
+    far, near = (np.asarray(told) for told in tree.query(middle, np.arange(1, k + 1)))
+    out[rest] = np.where(far <= far[:, :1], body[own[near]], len(kept)).min(axis=1)
     return out
 
 

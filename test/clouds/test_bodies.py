@@ -151,6 +151,24 @@ def test_an_outline_is_shared_by_the_nearest_body():
     assert not one.any()
 
 
+def test_triangles_as_near_to_two_bodies_go_to_the_larger_in_any_order():
+    axis = np.r_[0.0:28.0:3.0, 29.0:60.0:3.0]  # 4 m to either body from the middles at 25 m
+    xy = np.stack(np.meshgrid(axis, np.r_[0.0:61.0:3.0], indexing="ij"), -1).reshape(-1, 2)
+    within = (xy[:, 1] >= 9.0) & (xy[:, 1] <= 51.0)
+    z = np.where(within & (xy[:, 0] >= 3.0) & (xy[:, 0] <= 21.0), 2.0, 0.0)
+    z += np.where(within & (xy[:, 0] >= 29.0) & (xy[:, 0] <= 47.0), 1.0, 0.0)
+    rng = np.random.default_rng(0)
+    for order in (np.arange(len(xy)), *(rng.permutation(len(xy)) for _ in range(4))):
+        tin = build_tin(np.c_[xy, z][order])
+        label, kept = labelled_bodies(tin, design_surface([0.0]), 0.2, 0)
+        own = nearest_bodies(tin, tin.relevant, label, kept)
+        middle = tin.vertices[tin.triangles, :2].mean(axis=1)
+        between = (np.abs(middle[:, 1] - 30.0) < 20.0) & (np.abs(middle[:, 0] - 25.0) < 1e-9)
+        assert np.count_nonzero(between) > 5 and not own[between].any()
+        assert (own[middle[:, 0] > 26.0] == 1).all()
+        assert len(kept) == 2
+
+
 def terrace_with_pile(x, y):
     return np.where(x < 3.0, 0.0, 1.5) + cone(x + 4, y, 3.0, 2.0) + 5.0
 

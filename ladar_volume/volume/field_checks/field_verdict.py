@@ -136,8 +136,8 @@ class SurveyInField:
 
 
 class BodyInField(NamedTuple):
-    """on : its surface · rough : the field of the ground about its
-    base, None above a base that is given · objects : that were taken out of its surface
+    """on : its surface · rough : the field of the ground about its base, None above a base that is
+    given · objects : that were taken out of its surface
     """
 
     on: BodySurface
